@@ -44,7 +44,7 @@ class UnknownJob(ServiceError, status=404):
     @classmethod
     def of(cls, job_id: str) -> "UnknownJob":
         """The error for one id."""
-        return cls(f"no job has the id {job_id[:64]!a}")
+        return cls(f"no job has the id {job_id[:64]!a}: was it deleted?")
 
 
 class KeyReused(ServiceError, status=409):

@@ -89,6 +89,9 @@ STRIP: Final = 0.022
 
 #: The end of a logarithmic axis over its beginning, where the linear one begins at zero.
 LOG_RANGE: Final = 1000.0
+#: Logarithmic axes of a smaller ratio have ticks in equal steps; how ticks begin.
+LINEAR_RANGE: Final = 30.0
+ROUND: Final = (1.0, 2.0, 5.0)
 
 #: Dots per inch of a picture.
 DPI: Final = 200
@@ -171,24 +174,26 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
         axes.set_xscale("log")
     else:
         axes.xaxis.set_minor_locator(AutoMinorLocator())
-    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(8, steps=[*ROUND, 10.0]))
     axes.yaxis.set_minor_locator(AutoMinorLocator())
     axes.set_ylim(0, 1.06 * highest)
 
 
 def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
     """Make the axes that the attribute `log` names logarithmic, over what is above zero, others linear."""
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
     for name in "xy" if "log" in result.attrs else "":
         low, high = getattr(axes, f"get_{name}lim")()
         if name not in result.attrs["log"]:
             getattr(axes, f"set_{name}scale")("linear")
             continue
-        getattr(axes, f"set_{name}lim")(low if low > 0.0 else high / LOG_RANGE, high)
+        low = low if low > 0.0 else high / LOG_RANGE
+        getattr(axes, f"set_{name}lim")(low, high)
         getattr(axes, f"set_{name}scale")("log")
         axis = getattr(axes, f"{name}axis")
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        is_long = high > LINEAR_RANGE * low
+        axis.set_major_locator(LogLocator(subs=ROUND) if is_long else MaxNLocator(8, steps=[*ROUND, 10.0]))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
 

@@ -132,7 +132,7 @@ class SweepSpec(Specification):
     model: Annotated[Contact, Field(description="The contact of the lower mass with the plate.")] = Soft()
     effort: Annotated[
         Effort | None,
-        Field(exclude=True, description="Sets settle, observe and until; stored are these, not the effort."),
+        Field(exclude=True, description="Sets settle, observe and until, which are stored in its place."),
     ] = None
     settle: AutoSettle = "auto"
     observe: Observe = 100

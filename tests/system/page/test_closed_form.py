@@ -123,7 +123,7 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
 def test_a_contact_is_explored(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore?omega=0.6&xi=0.05&gamma=0.9") as page:
         page.get_by_label("Contact").select_option("soft")
-        said = page.locator(".closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1,1))")
+        said = page.locator(".closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1, 1))")
         said.wait_for()
         page.wait_for_url(re.compile("contact=soft"))
         screenshot(page, "explore-soft")
@@ -139,7 +139,7 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         page.keyboard.press("ArrowRight")  # the middle frequency, 0.625
         said = page.locator(".panel .readout", has_text="closed form: ").inner_text()
         assert f"{thresholds(0.625, 0.05).down:.6g}" in said
-        assert "cause: fold (1,1)" in said
+        assert "cause: fold (1, 1)" in said
         screenshot(page, "folds")
         page.set_viewport_size({"width": 390, "height": 844})  # of a phone
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

@@ -35,7 +35,7 @@ def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, ad
         assert [entry.split(":")[0] for entry in entries] == line.attractor.astype(str).values.tolist()
         events = page.locator(".paged tbody tr").all_inner_texts()
         assert len(events) == line.sizes["event"]
-        assert any(re.search(r"birth\t\d\t\(1,1\)", event) for event in events)
+        assert any(re.search(r"birth\t\d\t\(1, 1\)", event) for event in events)
 
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
@@ -44,7 +44,7 @@ def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, ad
         place = cell.isel(place=min(1, cell["count"].item() - 1))
         said = page.locator(".panel .readout").inner_text()
         assert f"Γ = {cell.gamma.item():g}" in said
-        assert f"attractor: {place.id.item()} · {place.label.item()}" in said
+        assert f"attractor: {place.id.item()} · {place.label.item().replace(',', ', ')}" in said
         page.keyboard.press("Enter")
         page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
         assert page.locator(".trajectory h2").inner_text() == "Trajectory of an attractor"

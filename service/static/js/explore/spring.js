@@ -4,7 +4,7 @@ import { cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/ad
 import { query } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, clamp, contactQuery, isClose, startOf, threshold } from "../lib/physics.js";
+import { AXES, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
@@ -90,7 +90,7 @@ class Cycles extends CyclesView {
       if (down === null) parts.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
       else parts.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${cause}).`);
     }
-    this.words.textContent = parts.join(" ");
+    this.words.textContent = inSymbols(parts.join(" "));
   }
 
   /** With the flights of the motion at its Γ. */

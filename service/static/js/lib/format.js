@@ -5,7 +5,8 @@ export function number(value, digits = 5) {
   if (!Number.isFinite(value)) return "–";
   const text = String(Number(value.toPrecision(digits)));
   const [mantissa, exponent] = text.split("e");
-  return (exponent ? `${mantissa}·10^${Number(exponent)}` : mantissa).replaceAll("-", "−");
+  const power = exponent && `10${String(Number(exponent)).replace(/./g, (digit) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(digit)])}`;
+  return (power ? (mantissa === "1" ? power : `${mantissa}·${power}`) : mantissa).replaceAll("-", "−");
 }
 
 /** A part of 1 in percent. */

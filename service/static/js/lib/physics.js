@@ -97,6 +97,9 @@ export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodi
 /** The outcome or mode of one of some cells as text. */
 export const modeText = ({ outcome, label = outcome, bounces, periods }, cell) => outcomeText(label[cell], bounces[cell], periods[cell]);
 
+/** A sentence or a mode of the service, "fold (1,2) at Gamma = 0.9", in the page's spelling. */
+export const inSymbols = (text) => text.replace(/(?<=\(\d+),(?=\d)/g, ", ").replaceAll("Gamma", SYMBOL.gamma).replace(/\bxi\b/g, SYMBOL.xi);
+
 /** "0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
 export const exponentText = (exponent, error) => `${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
 
@@ -109,7 +112,7 @@ export function cellColumns({ lyapunov, multiplier, computed }, of) {
   return [
     column("mode", modeText),
     ...(lyapunov ? [column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))] : []),
-    ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("flights within (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
+    ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("flight error ≤ (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
     ...(computed ? [column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : cells.computed[i] ? "computed" : "taken from its block"))] : []),
   ];
 }

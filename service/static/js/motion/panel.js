@@ -87,7 +87,7 @@ export class TrajectoryPanel {
       h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
       h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
       this.portraits.element,
-      ...(this.onClose ? [h("button", { type: "button", className: "quiet close", onclick: () => this.onClose() }, "Close")] : []));
+      ...(this.onClose ? [h("button", { type: "button", className: "quiet close", "aria-label": "Close", title: "Close", onclick: () => this.onClose() }, "×")] : []));
   }
 
   /** Play a motion; a note tells that it is computed, and after SLOW_MS why that takes long. */

@@ -68,8 +68,8 @@ function returnMap(flights) {
 }
 
 /** The elongation of the spring and its velocity, interrupted where an impact changes it, and once per plate period a dot. */
-function phasePortrait({ phase, z1, z2, velocity, in_flight: flies, rest_length: rest }) {
-  const points = phase.map((_, i) => [z1[i] - z2[i] - rest, velocity[i]]);
+function phasePortrait({ model, phase, z1, z2, velocity, in_flight: flies, rest_length: rest }) {
+  const points = model === "ball" ? [] : phase.map((_, i) => [z1[i] - z2[i] - rest, velocity[i]]);
   const isKnown = (point) => point.every(Number.isFinite);
   const known = points.filter(isKnown);
   const line = points.flatMap((point, i) => (flies[i - 1] && !flies[i] ? [null, point] : [point])).map((point) => point && (isKnown(point) ? point : null));

@@ -22,7 +22,7 @@ export function theme() {
 }
 
 /** Attractors of a plane with a colour of their own; the others share one. */
-const COLOURED = palette.attractors.length;
+export const COLOURED = palette.attractors.length;
 
 /** The colour of the attractor, or compared sweep, with this number from 1, in a dark or light scheme. */
 export const branchColour = (id, dark) => (palette.attractors[id - 1] ?? palette.other_attractors)[Number(dark)];

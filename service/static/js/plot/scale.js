@@ -1,5 +1,7 @@
 // Scales from values to pixels, axis ticks, and cell borders.
 
+import { number } from "../lib/format.js";
+
 /** A linear or logarithmic scale of the values [low, high] over the pixels [from, to]. */
 export function scale(low, high, from, to, log = false) {
   const forward = log ? Math.log : (value) => value;
@@ -10,8 +12,8 @@ export function scale(low, high, from, to, log = false) {
   return { pixel, value, low, high, log };
 }
 
-/** About `n` round values within [low, high], with their text: [{value, text}, …]. */
-export function ticks(low, high, n, log = false) {
+/** About `n` round values within [low, high], with their text: [{value, text}, …]; at least two, and three where these are at most 1.5n. */
+export function ticks(low, high, n, log = false, tries = 3) {
   if (log && high / low > 30) return decades(low, high);
   const rough = (high - low) / Math.max(n, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -19,15 +21,22 @@ export function ticks(low, high, n, log = false) {
   const values = [];
   for (let i = Math.ceil(low / step - 1e-9); i * step <= high * (1 + 1e-12) + step * 1e-9; i++) values.push(i * step);
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  if (values.length < 3 && tries) {
+    const finer = ticks(low, high, 2 * Math.max(n, 1), false, tries - 1);
+    if (values.length < 2 || finer.length <= 1.5 * n) return finer;
+  }
   return values.map((value) => ({ value, text: tickText(value, digits) }));
 }
 
+/** Powers of ten; where there are less than three, twice and five times them too. */
 function decades(low, high) {
-  const powers = [];
-  for (let e = Math.ceil(Math.log10(low) - 1e-9); 10 ** e <= high * (1 + 1e-9); e++) {
-    powers.push({ value: 10 ** e, text: Math.abs(e) <= 3 ? String(Number((10 ** e).toPrecision(3))) : `10^${e}` });
+  const found = [];
+  for (let e = Math.floor(Math.log10(low)); 10 ** e <= high * (1 + 1e-9); e++) {
+    for (const factor of [1, 2, 5]) found.push({ value: Number(`${factor}e${e}`), isPower: factor === 1 });
   }
-  return powers;
+  const values = found.filter(({ value }) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  const powers = values.filter(({ isPower }) => isPower);
+  return (powers.length < 3 ? values : powers).map(({ value }) => ({ value, text: number(value) }));
 }
 
 const tickText = (value, digits) => value.toFixed(Math.min(digits, 12)).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
@@ -48,4 +57,10 @@ export function cellBorders(values) {
   borders[0] = values[0] - (borders[1] - values[0]);
   borders[n] = values[n - 1] + (values[n - 1] - borders[n - 1]);
   return borders;
+}
+
+/** [low, high] of cells at increasing `values`, whole ones; with `positive` above 0 if they are, for logarithmic axes. */
+export function cellExtent(values, positive = true) {
+  const borders = cellBorders(values);
+  return [positive && values[0] > 0 && borders[0] <= 0 ? values[0] : borders[0], borders.at(-1)];
 }

@@ -23,7 +23,8 @@ export class Audit {
     this.button.textContent = "Auditing …";
     try {
       const audit = await requestDataset(`/v1/jobs/${this.job.id}/audit`);
-      this.found.replaceChildren(h("p", {}, `${audit.attrs.sentence}.`), questions(audit), changed(this.job, audit));
+      const sentence = `${audit.attrs.sentence[0].toUpperCase()}${audit.attrs.sentence.slice(1)}.`;
+      this.found.replaceChildren(h("p", {}, sentence), questions(audit), changed(this.job, audit));
       announce(audit.attrs.sentence);
     } catch (error) {
       if (!isHandledElsewhere(error)) this.found.replaceChildren(h("p", { role: "alert" }, error.message));

@@ -6,14 +6,13 @@ import { number, share } from "../lib/format.js";
 import { clamp, clampIndex, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
-import { cellBorders } from "../plot/scale.js";
+import { cellExtent } from "../plot/scale.js";
 import { PlotView } from "./plot-view.js";
 
 /** The window of all cells around `columns` and `rows`; with `positive` none of it is below 0, for logarithmic axes. */
 export function windowOf(columns, rows, positive = false) {
-  const [x, y] = [cellBorders(columns), cellBorders(rows)];
-  const first = (borders, values) => (positive && borders[0] <= 0 ? values[0] : borders[0]);
-  return { x0: first(x, columns), x1: x.at(-1), y0: first(y, rows), y1: y.at(-1) };
+  const [[x0, x1], [y0, y1]] = [cellExtent(columns, positive), cellExtent(rows, positive)];
+  return { x0, x1, y0, y1 };
 }
 
 /** A view of cells {column, row}: indices into the `columns` and `rows` that were loaded. */
@@ -138,7 +137,7 @@ export class ClassLegend {
 }
 
 /** An entry of a legend: a colour and what it stands for. */
-export const legendEntry = (colour, ...texts) => h("li", {}, swatch(colour), ...texts);
+export const legendEntry = (colour, ...texts) => h("li", {}, swatch(colour), h("div", {}, texts));
 
 /** A square of a colour. */
 export function swatch(colour) {

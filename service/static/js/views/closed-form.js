@@ -88,8 +88,8 @@ export function drawFolds(ctx, box, { curves, points }) {
   for (const { omega, gamma, violations } of curves) {
     polyline(ctx, box.theme.branch, 1.8, Array.from(omega, (value, i) => (violations[i] ? null : [box.x.pixel(value), box.y.pixel(gamma[i])])));
   }
-  const labels = [];
-  for (const point of points.filter(({ violations }) => violations === 0)) drawEvent(ctx, box, point.omega, point.gamma, point, labels);
+  const lines = curves.flatMap(({ omega, gamma, violations }) => Array.from(omega, (value, i) => [value, gamma[i]]).filter((_, i) => !violations[i]));
+  drawEvents(ctx, box, points.map(({ omega, gamma, ...point }) => ({ ...point, at: [omega, gamma] })), lines);
 }
 
 /** The legend of folds in a Plot. */
@@ -97,14 +97,14 @@ export const foldLegend = () => [["fold", (ctx, x, y, theme) => polyline(ctx, th
 
 /** Draw the cycles that the spring has, and mark their events. */
 export function drawBranches(ctx, box, { branches, events }) {
-  const labels = [];
   for (const branch of branches) {
     for (const { stable, points } of runsOf(branch, events)) {
       const pixels = points.map(({ gamma, flight_time: time }) => [box.x.pixel(gamma), box.y.pixel(time)]);
       polyline(ctx, box.theme.branch, stable ? 2 : 1.4, pixels, stable ? [] : DASH);
     }
   }
-  for (const event of events.filter(({ violations }) => violations === 0)) drawEvent(ctx, box, event.gamma, event.flight_time, event, labels);
+  const lines = branches.flatMap(({ gamma, flight_time: times, violations }) => Array.from(gamma, (value, i) => [value, times[i]]).filter((_, i) => !violations[i]));
+  drawEvents(ctx, box, events.map(({ gamma, flight_time: time, ...event }) => ({ ...event, at: [gamma, time] })), lines);
 }
 
 /** The parts of a branch on which cycles exist and are all stable, or all unstable; they begin and end at events. */
@@ -126,21 +126,28 @@ function runsOf({ periods, gamma, flight_time: time, stable, violations }, event
   return runs;
 }
 
-/** A ring, and its name beside it where no other label is. `labels` are the boxes taken so far. */
-function drawEvent(ctx, box, x, y, { kind }, labels) {
-  const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
-  if (!(px >= box.left && px <= box.left + box.width && py >= box.top && py <= box.top + box.height)) return;
+/** Rings at the events, with their names where these cover no other, no ring, and no point of the `lines`. */
+function drawEvents(ctx, box, events, lines) {
+  const pixel = ([x, y]) => [box.x.pixel(x), box.y.pixel(y)];
+  const isInside = ([x, y]) => x >= box.left && x <= box.left + box.width && y >= box.top && y <= box.top + box.height;
+  const shown = events.filter(({ violations }) => violations === 0).map(({ kind, at }) => ({ kind, at: pixel(at) })).filter(({ at }) => isInside(at));
+  const square = (size) => ([x, y]) => ({ left: x - size, right: x + size, top: y - size, bottom: y + size });
+  const taken = [...lines.map(pixel).filter(isInside).map(square(1)), ...shown.map(({ at }) => square(MARK_PX)(at))];
+  for (const { kind, at } of shown) drawEvent(ctx, box, at, eventName(kind), taken);
+}
+
+/** A ring, and its name beside it where it is free. `taken`: the boxes taken so far. */
+function drawEvent(ctx, box, [px, py], text, taken) {
   disc(ctx, box.theme.surface, px, py, MARK_PX);
   circle(ctx, box.theme.branch, 1.6, px, py, MARK_PX);
-  const text = eventName(kind);
   ctx.font = `italic 13px ${box.theme.serif}`;
   const width = ctx.measureText(text).width;
   const right = px + MARK_PX + 5;
   for (const [left, top] of [[right, py - 15], [right, py + 2], [px - MARK_PX - 5 - width, py - 15], [px - MARK_PX - 5 - width, py + 2]]) {
     const label = { left, right: left + width, top, bottom: top + 15 };
     const isInside = left >= box.left && label.right <= box.left + box.width && top >= box.top && label.bottom <= box.top + box.height;
-    if (!isInside || labels.some((other) => overlaps(other, label))) continue;
-    labels.push(label);
+    if (!isInside || taken.some((other) => overlaps(other, label))) continue;
+    taken.push(label);
     ctx.fillStyle = box.theme.branch;
     ctx.textAlign = "left";
     ctx.textBaseline = "top";

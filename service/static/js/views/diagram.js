@@ -9,7 +9,7 @@ import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js
 import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
-import { cellBorders, extent } from "../plot/scale.js";
+import { cellBorders, cellExtent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
@@ -164,10 +164,12 @@ export class Diagram extends PlotView {
   }
 
   whole() {
-    const values = this.sources.map(({ grid }) => grid[this.along]);
-    const [x0, x1] = extent(Math.min(...values.map(([first]) => first)), Math.max(...values.map((list) => list.at(-1))));
+    const ends = this.sources.map(({ grid }) => cellExtent(grid[this.along]));
+    const [x0, x1] = [Math.min(...ends.map(([low]) => low)), Math.max(...ends.map(([, high]) => high))];
     const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest(x0, x1) ?? 0) || TWO_PI;
-    return { x0, x1, y0: 0, y1: (currentQuery().log?.includes("y") ? 1.5 : 1.09) * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
+    const lowest = Math.min(...this.lines.map((line) => line.lowest)) / 1.5;
+    const isLog = currentQuery().log?.includes("y");
+    return { x0, x1, y0: isLog && lowest < flights ? lowest : 0, y1: (isLog ? 1.5 : 1.09) * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 
   content() {
@@ -299,13 +301,14 @@ export class Diagram extends PlotView {
   }
 }
 
-/** The lines of a diagram: the variables of each direction, and its `highest` flight, NaN left out. */
+/** The lines of a diagram: the variables of each direction, and its `highest` and `lowest` flight, NaN left out. */
 function linesOf(source, result) {
   const { along, every } = result.attrs;
   const fixed = Object.fromEntries(AXES.filter((axis) => axis !== along).reverse().map((axis) => [axis, result[axis].data]));
   return partsOf(result, "direction").map((variables) => {
     const highest = variables.flight_time.reduce((most, time) => (time > most ? time : most), 0);
-    return { ...variables, source, along, fixed, every, highest, values: result[along].data, keep: result.dims.flight };
+    const lowest = variables.flight_time.reduce((least, time) => (time < least ? time : least), Infinity);
+    return { ...variables, source, along, fixed, every, highest, lowest, values: result[along].data, keep: result.dims.flight };
   });
 }
 
@@ -346,9 +349,10 @@ export function drawThreshold(ctx, box, { omega, xi }, below = 0) {
   ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + below + 26);
 }
 
-/** A triangle on the axis at the cell whose trajectory is shown. */
+/** At the cell whose trajectory is shown a triangle on the axis, and a line, as the trajectory covers the axis. */
 function drawSelected(ctx, box, value, colour) {
   const [x, bottom] = [box.x.pixel(value), box.top + box.height];
+  verticalLine(ctx, box, x, colour, 1, [2, 3]);
   polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
 }
 

@@ -103,7 +103,9 @@ export class JobView {
   #pollFailed(error, redraw) {
     this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
-    if (error.status !== 404 || this.job) return;
+    if (error.status !== 404) return;
+    this.view?.problem?.show(null); // it said so already
+    if (this.job) return;
     this.heading.textContent = "No such sweep";
     document.title = "No such sweep · Bouncing spring";
     this.summary.progress.hidden = this.duplicate.hidden = this.rename.hidden = true;

@@ -5,10 +5,10 @@ import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
-import { TWO_PI, clampIndex, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
-import { branchColour, theme } from "../plot/colours.js";
+import { TWO_PI, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
+import { COLOURED, branchColour, theme } from "../plot/colours.js";
 import { circle, disc, rgba32, verticalLine } from "../plot/drawing.js";
-import { extent } from "../plot/scale.js";
+import { cellExtent } from "../plot/scale.js";
 import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
@@ -36,7 +36,7 @@ class AttractorView extends PlaneView {
   read([result]) {
     this.plane = result;
     [this.columns, this.rows, this.xi, this.count] = ["gamma", "omega", "xi", "count"].map((name) => result[name].data);
-    this.attractors = partsOf(result, "attractor").map(({ attractor: id, attractor_label: label, cells }) => ({ id, label, cells }));
+    this.attractors = partsOf(result, "attractor").map(({ attractor: id, attractor_label: label }) => ({ id, label: inSymbols(label) }));
     this.cells = cellsOf(result);
   }
 
@@ -46,8 +46,11 @@ class AttractorView extends PlaneView {
   }
 
   showLegend() {
-    const { dark } = theme();
-    this.legend.replaceChildren(...this.attractors.map(({ id, label, cells }) => legendEntry(branchColour(id, dark), `${id}: mostly ${label} `, h("small", {}, plural(cells, "cell")))));
+    const colourless = this.attractors.filter(({ id }) => id > COLOURED);
+    const others = colourless.length > 1 ? colourless : [];
+    const entry = (name, of) => legendEntry(branchColour(of[0].id, theme().dark), `${name} `, h("small", {}, plural(this.cells.filter((cell) => cell.some(({ id }) => of.some((each) => each.id === id))).length, "cell")));
+    this.legend.replaceChildren(...this.attractors.filter((each) => !others.includes(each)).map((each) => entry(`${each.id}: mostly ${each.label}`, [each])),
+      ...(others.length ? [entry(`${others.length} others`, others)] : []));
     const { several, several_by_drops: byDrops } = this.plane.attrs;
     this.shares.textContent = (several ?? null) === null ? "" : `Two attractors or more in ${share(several)} of the cells; drops reach them in ${share(byDrops)}.`;
   }
@@ -78,13 +81,13 @@ export class AttractorDiagram extends AttractorView {
   #eventRows() {
     const events = this.isLoaded ? partsOf(this.plane, "event") : [];
     const row = ({ event_kind: kind, event_attractor: attractor, event_gamma_below: low, event_gamma_above: high, event_below: below, event_above: above, event_leads_to: other }) =>
-      [`${number(low, 4)}–${number(high, 4)}`, kind, String(attractor), kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below, other ? String(other) : ""];
+      [`${number(low, 4)}–${number(high, 4)}`, kind, String(attractor), inSymbols(kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below), other ? String(other) : ""];
     return { titles: ["Γ", "event", "attractor", "mode", "leads to"], length: events.length, row: (i) => row(events[i]) };
   }
 
   whole() {
     const highest = Math.max(0, ...this.cells.flat().map(({ longest_flight: longest }) => longest)) || TWO_PI;
-    const [x0, x1] = extent(this.columns[0], this.columns.at(-1));
+    const [x0, x1] = cellExtent(this.columns);
     return { x0, x1, y0: -0.02 * highest, y1: 1.06 * highest };
   }
 
@@ -221,7 +224,7 @@ function placeText({ id, label, fraction, longest_flight: longest }) {
 
 /** The attractors of every cell, in rows of Ω, with the flights of a line: `times`, of rest 0. */
 function cellsOf({ id, label, fraction, longest_flight: longest, flight_time: flights, dims }) {
-  const labels = label.data.flat(2);
+  const labels = label.data.flat(2).map(inSymbols);
   const timesOf = (at) => Array.from(flights?.data.subarray(at * dims.flight, (at + 1) * dims.flight).filter(Number.isFinite) ?? []);
   const place = (at) => ({ id: id.data[at], label: labels[at], fraction: fraction.data[at], longest_flight: longest.data[at], times: timesOf(at) });
   return Array.from({ length: dims.omega * dims.gamma }, (_, cell) =>

@@ -174,7 +174,7 @@ export class PlotView {
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
     const { [this.job.spec.protocol.axis]: ramped, ...fixed } = this.place; // a ramp keeps its axis
-    const ends = this.windowed.map((axis, i) => [axis, [[x0, x1], [y0, y1]][i].map(addressValue).join()]);
+    const ends = this.windowed.map((axis, i) => [axis, [[x0, x1], [y0, y1]][i].map((end) => addressValue(clamp(end, this.grid[axis][0], this.grid[axis].at(-1)))).join()]);
     navigate(["new"], { from: this.job.id, ...fixed, ...Object.fromEntries(ends) });
   }
 

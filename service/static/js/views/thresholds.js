@@ -3,9 +3,9 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { clampIndex, hasCycles, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { clampIndex, hasCycles, inSymbols, isClose, nearestIndex } from "../lib/physics.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
-import { extent } from "../plot/scale.js";
+import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
@@ -14,7 +14,7 @@ import { RESUMABLE } from "./progress.js";
 
 const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, press to show a trajectory, drag or turn the wheel to zoom.";
-const BESIDE = 4; // px from the frequency: both directions may lie beyond the same edge
+const BESIDE = 4; // px from the frequency, of two directions: both may lie beyond the same edge
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
 const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
 /** What is read of each frequency; numbers that are not there are null. */
@@ -71,10 +71,10 @@ export class Thresholds extends PlotView {
   }
 
   whole() {
-    const { omega, xi } = this.thresholds;
-    const [x0, x1] = extent(omega[0], omega.at(-1));
-    const drawn = [...this.found, ...this.edges, this.measured.highest(x0, x1)];
-    return { x0, x1, y0: 0, y1: 1.12 * (Math.max(...drawn) || Math.max(threshold(x0, xi), 1)) };
+    const { omega, analytic } = this.thresholds;
+    const [x0, x1] = cellExtent(omega);
+    const drawn = [...(this.found.length ? this.found : analytic), ...this.edges, this.measured.highest(x0, x1)];
+    return { x0, x1, y0: 0, y1: 1.12 * Math.max(...drawn) || 1 };
   }
 
   content() {
@@ -102,7 +102,7 @@ export class Thresholds extends PlotView {
       const colour = box.theme[direction];
       drawSeries(ctx, box, omega, values, colour, direction);
       statuses.forEach((status, i) => {
-        const x = box.x.pixel(omega[i]) + (direction === "down" ? BESIDE : -BESIDE);
+        const x = box.x.pixel(omega[i]) + (this.series.length < 2 ? 0 : direction === "down" ? BESIDE : -BESIDE);
         if (UNDECIDED.includes(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
         else if (BEYOND[status]) drawTriangle(ctx, x, box.y.pixel(BEYOND[status] > 0 ? this.grid.gamma[0] : this.grid.gamma.at(-1)), BEYOND[status], colour);
       });
@@ -110,6 +110,7 @@ export class Thresholds extends PlotView {
   }
 
   #legend() {
+    const beyond = this.edges[0] === this.grid.gamma[0] ? 1 : -1;
     const line = (ctx, x, y, colour, width, dash) => polyline(ctx, colour, width, [[x, y], [x + 24, y]], dash);
     return [
       ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
@@ -118,7 +119,7 @@ export class Thresholds extends PlotView {
         line(ctx, x, y, theme[direction], 1.2);
         drawMarker(ctx, [x + 12, y], 3.4, theme[direction], direction, theme.surface);
       }]),
-      ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4, 1, theme.muted)]] : []),
+      ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction])]] : []),
       ...(this.isUndecided ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
   }
@@ -150,7 +151,7 @@ export class Thresholds extends PlotView {
       ...this.series.map(({ name, values, statuses }) => [name, ({ index }) => (values[index] === null ? statuses[index] : number(values[index], 5))]),
       // Where the closed form says that bouncing ends, and why the sweep differs.
       ...(this.closedForm ? [["closed form", ({ index }) => (down[index] === null ? "" : number(down[index], 6))],
-        ["cause", ({ index }) => cause[index] ?? ""], ["difference", ({ index }) => difference[index] ?? ""]] : [])];
+        ["cause", ({ index }) => inSymbols(cause[index] ?? "")], ["difference", ({ index }) => inSymbols(difference[index] ?? "")]] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */

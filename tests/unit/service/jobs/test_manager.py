@@ -19,7 +19,7 @@ from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
 from served import Running, running
 
 from kernel.params import KERNEL_VERSION, Outcome
-from service.errors import IllegalTransition, KeyReused, QueueFull
+from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
 from service.jobs.manager import JobManager
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
@@ -238,7 +238,8 @@ def test_a_chunk_found_damaged_is_removed_and_computed_again_by_a_running_job_to
         assert service.job(job).repairing
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         assert np.all(service.outcomes(job) != Outcome.MISSING)
-        assert service.manager.supervisor.repair("0" * 32, []).detail == "the job was deleted"
+        with pytest.raises(UnknownJob):
+            service.manager.supervisor.repair("0" * 32, [])
     assert [chunk for _, chunk in held.order].count(0) == 3
 
 
