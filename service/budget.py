@@ -8,7 +8,7 @@ compiling, waiting for workers and storing. The audit of the answer takes a part
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from worker.spec.errors import Problem, SpecInvalid
 from worker.sweep import AXES, SweepSpec
@@ -58,6 +58,15 @@ class Answer:
 
     levels: list[Level] = field(default_factory=list)
     audit: str | None = None
+
+
+def check(spec: Any, budget: float) -> None:
+    """Raise SpecInvalid for a study that has no levels, and for a budget that is no time."""
+    rule = "" if budget > 0.0 else f"must be above 0 s, not {budget:g}"
+    if not isinstance(spec, SweepSpec):
+        rule = f"is for sweeps; this study is of kind {spec.protocol.kind}"
+    if rule:
+        raise SpecInvalid([Problem("budget", rule)])
 
 
 def within(

@@ -1,6 +1,5 @@
 """The levels of a budget at a service: plain jobs, one after another."""
 
-import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -24,12 +23,13 @@ class Levels:
 
     def within(self, spec: Specification, budget: float) -> "Job":
         """The job of the finest level that fits. Raises InvalidSpecification."""
-        from service.budget import within
+        from service.budget import check, within
         from worker.spec.errors import SpecInvalid
-        from worker.sweep import SweepSpec
+        from worker.studies import from_json
 
         try:
-            whole = SweepSpec.parse(json.loads(body(spec)))
+            whole = from_json(body(spec))
+            check(whole, budget)
             within(whole, budget, self, display_line if self._progress else lambda _: None)
         except SpecInvalid as error:
             raise InvalidSpecification.before_sending(str(error)) from error
