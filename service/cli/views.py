@@ -61,6 +61,12 @@ def command(name: str) -> click.Command:
         if missing:
             other = " or the ID of a job" if len(kinds) > 1 else ""
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
+        for each, value in query.items():
+            if value is not None and each not in _parameters(of, name):
+                where = "without the ID of a job" if job_id else "with the ID of a job"
+                alike = [f"--{other.replace('_', '-')}" for other in _parameters(of, name) if each in other]
+                hint = f"; give {' and '.join(alike)}" if alike else ""
+                raise click.UsageError(f"--{each.replace('_', '-')} is only {where}{hint}")
         from service.client import Client
 
         formats, printed = of.RESULTS[name]

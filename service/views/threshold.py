@@ -214,9 +214,11 @@ def _springs(query: GridQuery) -> list[SpringQuery]:
     """Omega varies fastest. Raises InvalidRequest."""
     xis, omegas = (_values(query, name).tolist() for name in ("xi", "omega"))
     seconds = _SEARCHED * max(1.0, starts_of(query.effort) / 1_000) if query.search else _CONTINUED
-    count, most = len(xis) * len(omegas), int(MAX_GRID_SECONDS / seconds)
-    if count > most:
-        rule = f"{count:,} springs are too many: {most:,} take {MAX_GRID_SECONDS:g} core-seconds"
+    most = int(MAX_GRID_SECONDS / seconds)
+    if len(xis) * len(omegas) > most:
+        rule = (
+            f"must be fewer: {most:,} springs take {MAX_GRID_SECONDS:,.0f} core-seconds, which is the limit"
+        )
         raise InvalidRequest.of("omega", rule)
     shared = query.model_dump(exclude={"omega", "xi"})
     try:
@@ -293,7 +295,7 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
 
 GRID: Final = View(
     "thresholds", "Thresholds of a grid of springs", None, GridQuery, compute_grid, estimate_grid,
-    variables=_OF_GRID, rows="down", printed=("down", "cause"), parts=grid_parts, draw=draw_grid,
+    variables=_OF_GRID, rows="down", printed=("cause",), parts=grid_parts, draw=draw_grid,
 )  # fmt: skip
 
 
