@@ -35,7 +35,7 @@ from service.client.display import display_elapsed, display_job, display_line, d
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import IllegalTransition, InvalidRequest, RunFailed, UnknownJob
-from service.formats import EXPORTS, ExportFormat
+from service.formats import EXPORTS, PICTURES, TABLES, ExportFormat
 from service.jobs.manager import JobManager
 from service.jobs.prepare import PreparedJob
 from service.jobs.stores.opening import open_ledger
@@ -124,6 +124,8 @@ def run(
         ):
             return _opened(done.job.store_url).load().assign_attrs(done.attributes)
     target, attributes = Path(store), dict[str, str]()
+    if (ending := target.suffix.lower().removeprefix(".")) in {*EXPORTS, *PICTURES, *TABLES}:
+        raise InvalidRequest.of("store", f"is a folder of zarr, not .{ending}: run_to_file writes files")
     if not _is_computed(target, spec):
         folder = partial_of(target)
         with computed(spec, folder, workers=workers, progress=progress, budget=budget) as done:

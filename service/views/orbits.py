@@ -276,7 +276,7 @@ class OrbitsQuery(ContactQuery):
     gamma_max: GammaMax = 8.0
     points: Annotated[
         int,
-        Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
+        Field(ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"),
     ] = 400
     energy: WithEnergy = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False

@@ -290,7 +290,8 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
         axes.plot(omega, line.threshold.values, "--", color=colour, linewidth=0.9)
     axes.set_ylabel(r"lowest $\Gamma$ at which bouncing persists")
     legend_beside(axes, axes.get_legend_handles_labels()[0])
-    axes.set_title("dashed: Eq. 25; diamonds: searched for", fontsize=10)
+    searched_for = "; diamonds: searched for" if (result.status.values == "searched").any() else ""
+    axes.set_title(f"dashed: Eq. 25{searched_for}", fontsize=10)
 
 
 GRID: Final = View(
