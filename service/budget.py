@@ -8,11 +8,12 @@ compiling, waiting for workers and storing. The audit of the answer takes a part
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from worker.spec.errors import Problem, SpecInvalid
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
+from worker.sweep.protocols import KINDS, PROTOCOLS
 
 #: Share of a budget for the second level by the table of costs, and for the audit of the answer.
 SECOND, AUDIT = 0.05, 0.1
@@ -60,11 +61,11 @@ class Answer:
     audit: str | None = None
 
 
-def check(spec: Any, budget: float) -> None:
-    """Raise SpecInvalid for a study that has no levels, and for a budget that is no time."""
+def check(kind: object, budget: float) -> None:
+    """Raise SpecInvalid for a kind of study that has no levels, and for a budget that is no time."""
     rule = "" if budget > 0.0 else f"must be above 0 s, not {budget:g}"
-    if not isinstance(spec, SweepSpec):
-        rule = f"is for sweeps; this study is of kind {spec.protocol.kind}"
+    if kind in KINDS and kind not in PROTOCOLS:
+        rule = f"is for sweeps; this study is of kind {kind}"
     if rule:
         raise SpecInvalid([Problem("budget", rule)])
 

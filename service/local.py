@@ -258,7 +258,7 @@ def computed(
     use_cache()
     parsed = from_json(body(spec))
     if budget is not None:
-        budgets.check(parsed, budget)
+        budgets.check(parsed.protocol.kind, budget)
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
     with (

@@ -169,9 +169,7 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
     from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
     if len(values) > 1:
-        low, high = float(values[0]), float(values[-1])
-        room = 0.004 * (high - low)  # for half a dot
-        axes.set_xlim(low - room if room < low else low, high + room)
+        axes.set_xlim(float(values[0]), float(values[-1]))
     if _is_geometric(values):
         axes.set_xscale("log")
     else:
@@ -365,7 +363,7 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
 
 def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
     """Above a diagram the values of the other axes, and how it was computed."""
-    fixed = (axis for axis in reversed(AXES) if axis != result.attrs["along"])
+    fixed = (axis for axis in AXES if axis != result.attrs["along"])
     title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
     caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], result.attrs["caption"])
     pad = 4 + 9 * result.sizes.get("direction", 1)  # above the strips

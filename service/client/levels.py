@@ -1,5 +1,6 @@
 """The levels of a budget at a service: plain jobs, one after another."""
 
+import json
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -24,12 +25,14 @@ class Levels:
     def within(self, spec: Specification, budget: float) -> "Job":
         """The job of the finest level that fits. Raises InvalidSpecification."""
         from service.budget import check, within
+        from worker.spec.axes import kind_of
         from worker.spec.errors import SpecInvalid
-        from worker.studies import from_json
+        from worker.sweep import SweepSpec
 
         try:
-            whole = from_json(body(spec))
-            check(whole, budget)
+            fields = json.loads(body(spec))
+            check(kind_of(fields.get("protocol")), budget)
+            whole = SweepSpec.parse(fields)
             within(whole, budget, self, display_line if self._progress else lambda _: None)
         except SpecInvalid as error:
             raise InvalidSpecification.before_sending(str(error)) from error

@@ -11,7 +11,7 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import WARNING, draw_caption, draw_diagram, draw_strips, set_scales
+from service.pictures import WARNING, dot_of, draw_caption, draw_diagram, draw_strips, set_scales
 from service.views.selection import (
     LABEL,
     Stored,
@@ -150,6 +150,9 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Flight times along the axis. The picture says how many cells are missing."""
     axes = figure.subplots()
     draw_diagram(axes, result)
+    low, high = axes.get_xlim()
+    room = 0.002 * dot_of(result.sizes[result.attrs["along"]]) * (high - low)  # for half a dot at each end
+    axes.set_xlim(low - room if room < low else low, high + room)
     draw_strips(axes, result)
     set_scales(axes, result)
     if "caption" in result.attrs:
