@@ -13,6 +13,7 @@ from typing import Final, Protocol
 from worker.spec.errors import Problem, SpecInvalid
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
+from worker.sweep.protocols import KINDS, PROTOCOLS
 
 #: Share of a budget for the second level by the table of costs, and for the audit of the answer.
 SECOND, AUDIT = 0.05, 0.1
@@ -58,6 +59,15 @@ class Answer:
 
     levels: list[Level] = field(default_factory=list)
     audit: str | None = None
+
+
+def check(kind: object, budget: float) -> None:
+    """Raise SpecInvalid for a kind of study that has no levels, and for a budget that is no time."""
+    rule = "" if budget > 0.0 else f"must be above 0 s, not {budget:g}"
+    if kind in KINDS and kind not in PROTOCOLS:
+        rule = f"is for sweeps; this study is of kind {kind}"
+    if rule:
+        raise SpecInvalid([Problem("budget", rule)])
 
 
 def within(

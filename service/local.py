@@ -17,7 +17,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import closing, contextmanager, nullcontext, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,7 +35,7 @@ from service.client.display import display_elapsed, display_job, display_line, d
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
 from service.errors import IllegalTransition, InvalidRequest, RunFailed, UnknownJob
-from service.formats import EXPORTS, ExportFormat
+from service.formats import EXPORTS, PICTURES, TABLES, ExportFormat
 from service.jobs.manager import JobManager
 from service.jobs.prepare import PreparedJob
 from service.jobs.stores.opening import open_ledger
@@ -50,6 +50,7 @@ from worker.executors.inline import Inline
 from worker.files import complete_file, sync
 from worker.kernel_cache import use_cache
 from worker.ownership import temporary_folder
+from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import rule_of
 from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
@@ -65,7 +66,7 @@ CANCEL_SECONDS: Final = 0.8
 #: Say before a run what it may take, if it is this long.
 SAID_SECONDS: Final = 10.0
 
-#: Announce compilation after this many seconds.
+#: Announce a compilation after this many seconds: loading what is compiled takes less.
 MESSAGE_SECONDS: Final = 1.0
 
 #: Called with the job after every check.
@@ -123,6 +124,8 @@ def run(
         ):
             return _opened(done.job.store_url).load().assign_attrs(done.attributes)
     target, attributes = Path(store), dict[str, str]()
+    if (ending := target.suffix.lower().removeprefix(".")) in {*EXPORTS, *PICTURES, *TABLES}:
+        raise InvalidRequest.of("store", f"is a folder of zarr, not .{ending}: run_to_file writes files")
     if not _is_computed(target, spec):
         folder = partial_of(target)
         with computed(spec, folder, workers=workers, progress=progress, budget=budget) as done:
@@ -176,7 +179,7 @@ def run_to_file(
     use_cache()
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
-        formats = ", ".join((*EXPORTS, "zarr"))
+        formats = ", ".join(each for each in (*EXPORTS, "zarr") if each != "html")
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     query: Query = _query(diagram.DiagramQuery, line or {})
     settings = _settings(partial_of(target))
@@ -254,6 +257,8 @@ def computed(
     began = time.monotonic()
     use_cache()
     parsed = from_json(body(spec))
+    if budget is not None:
+        budgets.check(parsed.protocol.kind, budget)
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
     with (
@@ -294,9 +299,7 @@ class _Runner:
         return Computed(record, self._manager.preparer.prepare(record))
 
     def within(self, spec: Any, budget: float) -> Computed:
-        """The finest level that fits. Raises InvalidRequest for a study that has no levels."""
-        if not isinstance(spec, SweepSpec):
-            raise InvalidRequest.of("budget", f"is for sweeps; this study is of kind {spec.protocol.kind}")
+        """The finest level that fits."""
         show = display_line if self._progress is True else lambda _: None
         found = budgets.within(spec, budget, self, show)
         assert self._last is not None
@@ -394,15 +397,14 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
         return
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
     thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
-    shown = display_elapsed(_compiling, after=MESSAGE_SECONDS) if progress is True else nullcontext()
-    with shown:
-        thread.submit(compile_for, spec).result()
+    compiled = thread.submit(compile_for, spec)
+    while not wait([compiled], LOOK_SECONDS).done:
+        if progress is True and any(time.time() - each.began > MESSAGE_SECONDS for each in compilations()):
+            label = CONTACT_MODELS[spec.model.kind].label
+            with display_elapsed(f"compiling the {label}; later runs find it in the cache"):
+                wait([compiled])
+    compiled.result()
     thread.shutdown()
-
-
-def _compiling() -> str:
-    kernel = next((compilation.kernel for compilation in compilations()), "the last kernel")
-    return f"compiling {kernel}; later runs find it in the cache"
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

@@ -5,6 +5,7 @@ Needs xarray alone, so that the client stays light; matplotlib is loaded when so
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -98,6 +99,8 @@ DPI: Final = 200
 PERIOD: Final = 2 * np.pi  # of the plate, rad
 #: Relative size of the points of up, drawn first, and of down over it: up shows as a rim where both agree.
 OVERLAID: Final = (1.7, 0.8)
+#: Size of the marker of the larger points in a legend.
+LEGEND_DOT: Final = 8.0
 #: More points than this become an image inside an SVG.
 MANY_POINTS: Final = 5_000
 #: More flights of a direction than this are drawn as density, in bins of a dot; pixels of the axes.
@@ -131,7 +134,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
         x, y = values[np.nonzero(shown)[0]], flights[shown]
         # The dot of marker "." is half its size wide.
         style: Any = {"marker": ".", "linestyle": "none", "markeredgewidth": 0, "color": LINES[way],
-                      "markersize": 2 * _dot(len(values)) * size, "label": _WAYS[way]}  # fmt: skip
+                      "markersize": 2 * dot_of(len(values)) * size, "label": _WAYS[way]}  # fmt: skip
         if len(x) > DENSE_POINTS:
             axes.plot([], [], **style)
             _draw_density(axes, x, y, values, LINES[way])
@@ -144,7 +147,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
     axes.set_ylabel(FLIGHT)
 
 
-def _dot(cells: int) -> float:
+def dot_of(cells: int) -> float:
     """Width of a flight's dot, in points."""
     return float(np.clip(450 / cells, 0.7, 3.5))
 
@@ -155,7 +158,7 @@ def _draw_density(
     """Flights at these values of the axis in bins of a dot's size, darker where there are more of them."""
     from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_rgba
 
-    columns, rows = (int(n * 72 / DPI / _dot(len(values))) for n in COLUMNS_AND_ROWS)
+    columns, rows = (int(n * 72 / DPI / dot_of(len(values))) for n in COLUMNS_AND_ROWS)
     spaced = np.geomspace if axes.get_xscale() == "log" else np.linspace
     bins = edges(values) if len(values) <= columns else spaced(*axes.get_xlim(), columns + 1)
     shades = LinearSegmentedColormap.from_list("", [to_rgba(colour, FAINTEST), to_rgba(colour)])
@@ -359,8 +362,19 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
             cmap=ListedColormap(list(CLASSES.values())), vmin=-0.5, vmax=len(CLASSES) - 0.5,
             transform=ax.get_xaxis_transform(), clip_on=False,
         )  # fmt: skip
-    lines = ax.get_legend_handles_labels()[0] if len(shown) > 1 else []
-    legend_beside(ax, [*lines, *_entries(shown, CLASSES)], 1.05, markerscale=3)
+    lines: list[Any] = ax.get_legend_handles_labels()[0] if len(shown) > 1 else []
+    dot = max((line.get_markersize() for line in lines), default=1.0)
+    legend_beside(ax, [*lines, *_entries(shown, CLASSES)], 1.05, markerscale=LEGEND_DOT / dot)
+
+
+def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
+    """Above a diagram the values of the other axes, and how it was computed."""
+    fixed = (axis for axis in AXES if axis != result.attrs["along"])
+    title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
+    caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], result.attrs["caption"])
+    pad = 4 + 9 * result.sizes.get("direction", 1)  # above the strips
+    axes.set_title(title, loc="left", fontsize=11, pad=pad)
+    axes.set_title(caption, loc="right", fontsize=8.5, color="0.35", pad=pad)
 
 
 def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
@@ -455,3 +469,14 @@ def edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.array([values[0] - 0.5, values[0] + 0.5])
     middle = 0.5 * (values[1:] + values[:-1])
     return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
+
+
+def metadata(format: str, origin: Mapping[str, str]) -> dict[str, str | None]:
+    """The origin under the names that the format has for it, without the time of drawing."""
+    program = f"bouncing-spring {origin['release']}"
+    described = json.dumps(dict(origin), ensure_ascii=False)
+    if format == "png":
+        return {"Software": program, "Description": described}
+    if format == "svg":
+        return {"Creator": program, "Description": described, "Date": None}
+    return {"Creator": program, "Subject": described, "CreationDate": None}

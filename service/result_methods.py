@@ -299,7 +299,7 @@ class SpringMethods(Methods):
 
     RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
         "threshold": (("json", "bin", "nc"), ()),
-        "thresholds": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("down", "cause")),
+        "thresholds": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("cause",)),
         "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma")),
         "curves": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("gamma", "event_gamma")),
     }
@@ -372,7 +372,7 @@ class SpringMethods(Methods):
         xi: float,
         modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
-        points: Annotated[int, "of each branch, at least; of a `model`, at most, each way"] = 400,
+        points: Annotated[int, "of each branch, about; of a `model`, at most, each way"] = 400,
         energy: Annotated[bool, "the energy balance of every point as well"] = False,
         prove: Annotated[bool, "whether all folds and flips are counted, with a proof"] = False,
         along: Annotated[Literal["gamma", "omega", "xi"], "what varies; of a model, omega or xi too, from half to twice its value"] = "gamma",

@@ -35,6 +35,8 @@ def complete_file(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
 @contextmanager
 def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
     """As `complete_file`, but whatever is at `path`, unless it is a folder, is replaced."""
+    if not path.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(path.parent))
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
         with synced(partial, private=private) as file:

@@ -157,7 +157,7 @@ def _verify(
     except (store.StoreError, SpecError) as error:
         return f"{job.id}: {error}", False
     if not damaged:
-        return f"{job.id}: {len(done)} chunks are sound", True
+        return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True
     if ledger is None:
         fate = "a service uses the folder; verify again without it to have them computed again"
         return f"{job.id}: damaged: {describe(prepared, damaged)}: {fate}", False
@@ -169,7 +169,7 @@ def _service(url: str) -> Finding:
         answer = httpx2.get(f"{url}/readyz", timeout=5.0, trust_env=False)
         document = answer.json()
     except (httpx2.HTTPError, ValueError) as error:
-        return Finding("service", f"none at {url} ({type(error).__name__})")
+        return Finding("service", f"none at {url} ({error})")
     if answer.status_code != 200:
         return Finding("service", f"{url} is not ready: {document.get('detail')}", ok=False)
     notices = "; ".join(document.get("notices", []))

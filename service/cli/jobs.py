@@ -5,7 +5,7 @@ import sys
 import time
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args
 
 import click
 
@@ -13,6 +13,7 @@ from service.cli.options import (
     BEGAN,
     DAY,
     DURATION,
+    Number,
     format_option,
     json_option,
     output_format,
@@ -21,7 +22,7 @@ from service.cli.options import (
     write_file,
 )
 from service.cli.views import query_options
-from service.formats import EXPORTS, PICTURES, TABLES
+from service.formats import EXPORTS, PICTURES, TABLES, DatasetFormat
 from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
@@ -104,6 +105,9 @@ def run(
     """
     from service import local
 
+    if output == "-":
+        rule = "must be a file: an interrupted run goes on beside it; results of jobs go to standard output"
+        raise click.BadParameter(rule, param_hint="'-o'")
     format = output_format(output, _RUN_FORMATS, format)
     specification = _specification(spec, effort)
     if budget is not None:
@@ -123,7 +127,7 @@ def run(
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
 @click.option("--budget", type=DURATION, help="Time that the recommended setting takes at most: 90s, 5m, 1h.")
 @click.option(
-    "--tolerance", type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    "--tolerance", type=Number(0, 1, min_open=True, max_open=True),
     help="Share of the plane that it shows wrong at most.  [default: 0.05 without a budget]",
 )  # fmt: skip
 @click.option("-o", "--output", type=click.Path(dir_okay=False), help="Picture or table to write.")
@@ -140,7 +144,7 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
 
     specification = _specification(spec)
     if output is not None:
-        format = output_format(output, (*EXPORTS, *PICTURES, *TABLES), None)
+        format = output_format(output, (*get_args(DatasetFormat), *PICTURES))
         write_file(output, client.plan_file(specification, format, **query))
         return
     found = client.plan(specification, **query)
@@ -174,7 +178,7 @@ def status(job: "Job", as_json: bool) -> None:
 
 
 @click.command()
-@click.option("--timeout", type=click.FloatRange(min=0), help="Stop waiting after this many seconds.")
+@click.option("--timeout", type=Number(min=0), help="Stop waiting after this many seconds.")
 @with_job
 def wait(job: "Job", timeout: float | None) -> None:
     """Show a job's progress until it is finished.
@@ -196,7 +200,7 @@ def follow(job: "Job", as_json: bool) -> None:
 
 
 @click.command()
-@click.option("--interval", type=click.FloatRange(min=0.1), default=1.0, show_default=True,
+@click.option("--interval", type=Number(min=0.1), default=1.0, show_default=True,
               help="Seconds between two looks.")  # fmt: skip
 @with_client
 def watch(client: "Client", interval: float) -> None:

@@ -48,6 +48,12 @@ class Duration(click.ParamType[float]):
 DURATION: Final = Duration()
 
 
+class Number(click.FloatRange):
+    """A number within bounds, called so in messages."""
+
+    name = "number"
+
+
 class Day(click.ParamType[str]):
     """A day, or a time of it, as 2026-11-25."""
 

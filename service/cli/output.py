@@ -25,8 +25,9 @@ def job_report(job: "Job") -> str:
         "id": job.id,
         "name": job.name,
         "state": job.state,
-        "progress": f"{progress.whole_percent}% ({progress.cells_done:,} of {progress.cells_total:,} cells, "
-        f"{progress.chunks_done:,} of {progress.chunks_total:,} chunks){time_left(job)}",
+        "progress": f"{progress.whole_percent}% "
+        f"({progress.cells_done:,} of {_plural(progress.cells_total, 'cell')}, "
+        f"{progress.chunks_done:,} of {_plural(progress.chunks_total, 'chunk')}){time_left(job)}",
         "settling": settling_note(job),
         "model": (job.view.get("choice") or {}).get("reason"),
         **{
@@ -58,13 +59,13 @@ def estimate_line(estimate: "Estimate") -> str:
     computed, seconds, most, longest = "", time(estimate.core_seconds), "", ""
     if estimate.computed_cells is not None:
         low, high = estimate.computed_cells
-        computed = f", of which about {low:,} to {high:,} are computed,"
-        seconds, most = f"{time(estimate.least_core_seconds)} to {seconds}", "at most "
+        computed = f", of which about {_range(f'{low:,}', f'{high:,}')} are computed,"
+        seconds, most = _range(time(estimate.least_core_seconds), seconds), "at most "
     if estimate.longest_core_seconds is not None:
         longest = f"; up to {time(estimate.longest_core_seconds)} if every cell were a slow one"
     workers = "one core" if not estimate.workers else _plural(estimate.workers, "worker")
     return (
-        f"{estimate.cells:,} cells{computed} in {_plural(estimate.chunks, 'chunk')}, "
+        f"{_plural(estimate.cells, 'cell')}{computed} in {_plural(estimate.chunks, 'chunk')}, "
         f"{most}{decimal(estimate.bytes)} before compression, about {seconds} on {workers} "
         f"({estimate.core_seconds:,.1f} core-seconds, {_BASES[estimate.basis]}{longest})"
     )
@@ -75,6 +76,10 @@ _BASES: Final = {
     "measured": "from recent jobs",
     "table": "from the table of costs; the kernel is compiled first, unless the cache has it",
 }
+
+
+def _range(low: str, high: str) -> str:
+    return high if low == high else f"{low} to {high}"
 
 
 def _plural(number: int, thing: str) -> str:

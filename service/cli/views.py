@@ -8,7 +8,7 @@ from inspect import Parameter, cleandoc, signature
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_origin
 
 import click
 
@@ -61,6 +61,12 @@ def command(name: str) -> click.Command:
         if missing:
             other = " or the ID of a job" if len(kinds) > 1 else ""
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
+        for each, value in query.items():
+            if value is not None and each not in _parameters(of, name):
+                where = "without the ID of a job" if job_id else "with the ID of a job"
+                alike = [f"--{other.replace('_', '-')}" for other in _parameters(of, name) if each in other]
+                hint = f"; give {' and '.join(alike)}" if alike else ""
+                raise click.UsageError(f"--{each.replace('_', '-')} is only {where}{hint}")
         from service.client import Client
 
         formats, printed = of.RESULTS[name]
@@ -101,10 +107,19 @@ def command(name: str) -> click.Command:
 
 def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any]) -> bytes:
     """A result with measured points over it, drawn here."""
-    given = {each: value for each, value in query.items() if value is not None and each != "caption"}
-    figure, file = job.plot(cast("Any", name), data=data, **given).get_figure(root=True), BytesIO()
-    assert figure is not None
-    figure.savefig(file, format=format, bbox_inches="tight")
+    from json import dumps
+
+    from service.pictures import draw_caption, metadata
+
+    result, file = job.result(name, **query), BytesIO()
+    axes = result.bounce.plot(data=data)
+    if "caption" in result.attrs:
+        axes.set_title("")
+        draw_caption(axes, result)
+    origin = {each: result.attrs[each] for each in ("job", "kernel_version", "release")}
+    origin["spec"] = dumps(job.spec, ensure_ascii=False)
+    figure = axes.get_figure(root=True)
+    figure.savefig(file, format=format, bbox_inches="tight", metadata=metadata(format, origin))
     return file.getvalue()
 
 
@@ -178,6 +193,11 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
     if "point" in dims:
         every = -(-result.sizes["point"] // POINTS)
         result = result.isel(point=slice(None, None, every))
+    if "lyapunov" in result and "exponent" not in dims:
+        each = {
+            f"lyapunov_{i + 1}": part for i, part in enumerate(result.lyapunov.transpose("exponent", ...))
+        }
+        result = result.assign(each)
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
     frame = result[names].to_dataframe()
     for name in names:
@@ -185,12 +205,12 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
         if "flag_values" in attrs:
             meanings = dict(zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True))
             frame[name] = frame[name].map(meanings)
-    prefixes = tuple(f"{dim}_" for dim in dims)
+    prefixes = tuple(f"{dim}_" for dim in dims if dim != "flight")
     frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
     if len(dims) > 1:
         frame = frame[frame[_without(prefixes, rows)].notna()]
     if frame.empty:
-        return "  ".join([*map(str, frame.index.names), *frame.columns])
+        return f"{'  '.join([*map(str, frame.index.names), *frame.columns])}: none"
     frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
     notes = [f"one point of {every} is shown: -o writes all"] if every > 1 else []
     for column in frame.columns[[each.astype(str).str.len().max() > LONG for _, each in frame.items()]]:

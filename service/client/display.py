@@ -127,7 +127,7 @@ def settling_note(job: JobStatus) -> str:
         return ""
     return (
         f"{settling:,} of {job.progress.cells_done:,} cells were still settling: "
-        "give them more time with settle auto and until"
+        "give them a larger until, with settle auto"
     )
 
 

@@ -24,12 +24,15 @@ class Levels:
 
     def within(self, spec: Specification, budget: float) -> "Job":
         """The job of the finest level that fits. Raises InvalidSpecification."""
-        from service.budget import within
+        from service.budget import check, within
+        from worker.spec.axes import kind_of
         from worker.spec.errors import SpecInvalid
         from worker.sweep import SweepSpec
 
         try:
-            whole = SweepSpec.parse(json.loads(body(spec)))
+            fields = json.loads(body(spec))
+            check(kind_of(fields.get("protocol")), budget)
+            whole = SweepSpec.parse(fields)
             within(whole, budget, self, display_line if self._progress else lambda _: None)
         except SpecInvalid as error:
             raise InvalidSpecification.before_sending(str(error)) from error

@@ -68,9 +68,13 @@ def _table(data: Data) -> "pandas.DataFrame":
     if isinstance(data, str | PathLike):
         try:
             data = pandas.read_csv(data, comment="#", skipinitialspace=True, nrows=MOST_ROWS + 1)
-        except (ValueError, UnicodeDecodeError) as error:
-            raise BounceError(f"data: {data} is no table of columns with commas: {error}") from None
-    table = pandas.DataFrame(data)
+        except ValueError as error:  # one on parsing says the line
+            why = f": {error}" if isinstance(error, pandas.errors.ParserError) else ""
+            raise BounceError(f"data: {data} is no table of columns with commas{why}") from None
+    try:
+        table = pandas.DataFrame(data)
+    except ValueError as error:
+        raise BounceError(f"data: its columns are no table: {error}") from None
     if len(table) > MOST_ROWS:
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:

@@ -38,7 +38,7 @@ class Problem:
     def __str__(self) -> str:
         """The detail, then one line for each field that the detail does not mention."""
         text = self.detail or self.title
-        lines = [f"{broken.field}: {broken.rule}" for broken in self.fields]
+        lines = [f"{broken.field}: {broken.rule}".removeprefix(": ") for broken in self.fields]
         return "\n".join([text, *(f"  {line}" for line in lines if line not in text)])
 
 

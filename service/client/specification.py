@@ -76,7 +76,7 @@ def _json_value(value: object, field: str) -> object:
         raise _invalid(field, f"must be finite, not {value}")
     if value is None or isinstance(value, str | bool | int | float):
         return value
-    raise _invalid(field, f"must be a number, text, a list or a mapping, not {type(value).__name__}")
+    raise _invalid(field, f"must be a number, a list or a mapping, not {type(value).__name__}")
 
 
 def _invalid(field: str, rule: str) -> InvalidSpecification:

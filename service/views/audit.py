@@ -303,8 +303,10 @@ def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, to
 
 def _between(answer: _Answer) -> str:
     """The bounds of a share in percent."""
-    high = f"{100.0 * answer.high:.2g} %"
-    return f"at most {high}" if answer.low == 0.0 else f"{100.0 * answer.low:.2g} to {high}"
+    low, high = (f"{100.0 * share:.2g}" for share in (answer.low, answer.high))
+    if low == high:
+        return f"{high} %"
+    return f"at most {high} %" if answer.low == 0.0 else f"{low} to {high} %"
 
 
 def _contact(study: Stored[SweepSpec]) -> Any:

@@ -1,6 +1,5 @@
 """Bifurcation diagrams: the flights of all cells along one axis of the grid."""
 
-import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -12,7 +11,7 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import SYMBOLS, WARNING, draw_diagram, draw_strips, set_scales
+from service.pictures import WARNING, dot_of, draw_caption, draw_diagram, draw_strips, set_scales
 from service.views.selection import (
     LABEL,
     Stored,
@@ -29,7 +28,7 @@ from service.views.variables import cells_dataset, coordinate
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.study import Array
-from worker.sweep import AXES, SweepSpec, schema
+from worker.sweep import SweepSpec, schema
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -153,10 +152,13 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Flight times along the axis. The picture says how many cells are missing."""
     axes = figure.subplots()
     draw_diagram(axes, result)
+    low, high = axes.get_xlim()
+    room = 0.002 * dot_of(result.sizes[result.attrs["along"]]) * (high - low)  # for half a dot at each end
+    axes.set_xlim(low - room if room < low else low, high + room)
     draw_strips(axes, result)
     set_scales(axes, result)
     if "caption" in result.attrs:
-        _draw_caption(axes, result)
+        draw_caption(axes, result)
     if not result.attrs["complete"]:
         missing = int(np.count_nonzero(result.outcome.values == Outcome.MISSING))
         total = result.outcome.size
@@ -166,15 +168,6 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
             fontsize=11, zorder=5,
             bbox={"facecolor": "white", "edgecolor": WARNING, "linewidth": 0.6, "alpha": 0.9, "pad": 5},
         )  # fmt: skip
-
-
-def _draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
-    fixed = (axis for axis in reversed(AXES) if axis != result.attrs["along"])
-    title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
-    caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], result.attrs["caption"])
-    pad = 4 + 9 * result.sizes.get("direction", 1)  # above the strips
-    axes.set_title(title, loc="left", fontsize=11, pad=pad)
-    axes.set_title(caption, loc="right", fontsize=8.5, color="0.35", pad=pad)
 
 
 def draw_legend(axes: "Axes", **options: Any) -> None:

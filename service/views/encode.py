@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
@@ -16,7 +15,7 @@ import xarray
 from numpy.typing import NDArray
 
 from service.errors import NotInstalled
-from service.pictures import DPI, STYLE
+from service.pictures import DPI, STYLE, metadata
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -287,16 +286,5 @@ def _picture(
         figure = Figure(figsize=size, dpi=DPI, layout="constrained")
         draw(figure)
         file = io.BytesIO()
-        figure.savefig(file, format=format, metadata=_metadata(format, origin))
+        figure.savefig(file, format=format, metadata=metadata(format, origin))
     return file.getvalue()
-
-
-def _metadata(format: str, origin: Mapping[str, str]) -> dict[str, str | None]:
-    """The origin under the names that the format has for it, without the time of drawing."""
-    program = f"bouncing-spring {origin['release']}"
-    described = json.dumps(dict(origin), ensure_ascii=False)
-    if format == "png":
-        return {"Software": program, "Description": described}
-    if format == "svg":
-        return {"Creator": program, "Description": described, "Date": None}
-    return {"Creator": program, "Subject": described, "CreationDate": None}

@@ -148,10 +148,8 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     directions, window = directions_of(spec, query.direction), _window(spec, query)
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
     if query.color == "multiplier" and not spec.certifies:
-        rule = (
-            "must be 'mode': this sweep certifies no cells, as one with settle 'auto' and no exponents does"
-        )
-        raise InvalidRequest.of("color", rule)
+        able = "one with settle 'auto' and no exponents" if spec.model.certifies else "one of a soft contact"
+        raise InvalidRequest.of("color", f"must be 'mode': this sweep certifies no cells, as {able} does")
     memory, most = 0, None
     if needs_flights(spec, query.min_flight):
         if spec.fills_in:

@@ -17,7 +17,16 @@ from pydantic import Field
 
 from kernel.params import Outcome
 from service.errors import TooLarge
-from service.pictures import ATTRACTORS, OTHER_ATTRACTORS, PALETTE, SYMBOLS, UNDECIDED, edges, legend_beside
+from service.pictures import (
+    ATTRACTORS,
+    OTHER_ATTRACTORS,
+    PALETTE,
+    SYMBOLS,
+    UNDECIDED,
+    dot_of,
+    edges,
+    legend_beside,
+)
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
 from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Estimate, Number, Query, View
@@ -305,10 +314,11 @@ def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
     ids, times = result.id.values[0], result.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(result.gamma.values[:, np.newaxis, np.newaxis], times.shape)
+    size = 2.0 * dot_of(len(gamma))
     for number in np.unique(ids[ids > 0])[::-1].tolist():
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
         colour = _BY_ID[min(number, len(_BY_ID) - 1)]
-        axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=2.5, markeredgewidth=0.0)
+        axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=size, markeredgewidth=0.0)
     axes.set_xlabel(SYMBOLS["gamma"])
     axes.set_ylabel("flight time (rad)")
     values = ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))

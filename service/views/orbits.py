@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 import xarray
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, Events, branch_and_events, flight_times, join_events, rows_of
@@ -66,7 +66,7 @@ from worker.orbits.specification import (
     read_mode,
 )
 from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
-from worker.spec.errors import BrokenRuleError, problems_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid
 from worker.study import Array
 from worker.study.layout import COORDINATES
 from worker.sweep import AXES, SweepSpec
@@ -276,7 +276,7 @@ class OrbitsQuery(ContactQuery):
     gamma_max: GammaMax = 8.0
     points: Annotated[
         int,
-        Field(ge=10, le=MAX_POINTS, description="of each branch, at least; of a `model`, at most, each way"),
+        Field(ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"),
     ] = 400
     energy: WithEnergy = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
@@ -298,9 +298,8 @@ def contact(query: ContactQuery) -> Rigid | Soft | None:
     fields = _CONTACTS[given.pop("model")]
     try:
         return fields(**given)
-    except ValidationError as error:
-        problems = problems_of(error, {"": tuple(fields.model_fields)})
-        raise InvalidRequest("; ".join(map(str, problems)), problems) from error
+    except SpecInvalid as error:
+        raise InvalidRequest("; ".join(map(str, error.problems)), error.problems) from error
 
 
 def name_of(plate: Rigid | Soft) -> str:

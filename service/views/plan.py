@@ -1,6 +1,7 @@
 """The plan of a sweep: what each effort and grid would cost, and how much of its picture would be wrong."""
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
@@ -51,6 +52,11 @@ class PlanQuery(Query):
     )
     seed: Annotated[int, Field(ge=0, lt=2**63, description="of the pilot points")] = 0
 
+    @property
+    def kept(self) -> float | None:
+        """The tolerance."""
+        return TOLERANCE if self.tolerance is None and self.budget is None else self.tolerance
+
 
 def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int) -> list[Setting]:
     """The settings that are compared, the most thorough first. Raises SpecInvalid."""
@@ -76,10 +82,7 @@ def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
     if seconds > MAX_SECONDS:
         rule = f"its pilot points take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
         raise TooLarge(f"{rule}: a cheaper contact, such as rigid or soft, has a plan")
-    tolerance = query.tolerance
-    if query.budget is None and tolerance is None:
-        tolerance = TOLERANCE
-    return [(plan, tuple(settings), query.budget, tolerance, query.seed)]
+    return [(plan, tuple(settings), query.budget, query.kept, query.seed)]
 
 
 def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Share], int]) -> xarray.Dataset:
@@ -99,7 +102,11 @@ def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Sha
         "recommended": [i == chosen for i in range(len(settings))],
         "spec": [spec.model_dump_json() for spec in specs],
     }
-    attrs = {"points": shares[chosen].points, "seed": query.seed, "complete": True}
+    attrs: dict[str, Any] = {"points": shares[chosen].points, "seed": query.seed, "complete": True}
+    limits = [f"a budget of {query.budget:g} s"] if settings[chosen].seconds > (query.budget or inf) else []
+    limits += [f"a tolerance of {query.kept:g}"] if shares[chosen].high > (query.kept or 1.0) else []
+    if limits:
+        attrs["note"] = f"no setting surely keeps to {' and '.join(limits)}; the nearest is recommended"
     return dataset(variables(_ROWS, data), {}, attrs)
 
 

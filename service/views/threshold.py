@@ -214,9 +214,11 @@ def _springs(query: GridQuery) -> list[SpringQuery]:
     """Omega varies fastest. Raises InvalidRequest."""
     xis, omegas = (_values(query, name).tolist() for name in ("xi", "omega"))
     seconds = _SEARCHED * max(1.0, starts_of(query.effort) / 1_000) if query.search else _CONTINUED
-    count, most = len(xis) * len(omegas), int(MAX_GRID_SECONDS / seconds)
-    if count > most:
-        rule = f"{count:,} springs are too many: {most:,} take {MAX_GRID_SECONDS:g} core-seconds"
+    most = int(MAX_GRID_SECONDS / seconds)
+    if len(xis) * len(omegas) > most:
+        rule = (
+            f"must be fewer: {most:,} springs take {MAX_GRID_SECONDS:,.0f} core-seconds, which is the limit"
+        )
         raise InvalidRequest.of("omega", rule)
     shared = query.model_dump(exclude={"omega", "xi"})
     try:
@@ -288,7 +290,8 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
         axes.plot(omega, line.threshold.values, "--", color=colour, linewidth=0.9)
     axes.set_ylabel(r"lowest $\Gamma$ at which bouncing persists")
     legend_beside(axes, axes.get_legend_handles_labels()[0])
-    axes.set_title("dashed: Eq. 25; diamonds: searched for", fontsize=10)
+    searched_for = "; diamonds: searched for" if (result.status.values == "searched").any() else ""
+    axes.set_title(f"dashed: Eq. 25{searched_for}", fontsize=10)
 
 
 GRID: Final = View(

@@ -84,22 +84,17 @@ def plan(
 def recommended(
     settings: Sequence[Setting], shares: Sequence[Share], budget: float | None, tolerance: float | None
 ) -> int:
-    """The number of the setting that shows least wrong within the budget, or is cheapest within a tolerance.
+    """The number of the cheapest setting within budget and tolerance.
 
-    Where none is within either: the cheapest, or the one that shows least wrong.
+    Without a tolerance, or where none is within it, the one that shows least wrong within the budget; where
+    none is within the budget, the cheapest.
     """
     numbers = range(len(settings))
-    if budget is not None:
-        fitting = [i for i in numbers if settings[i].seconds <= budget]
-        return (
-            min(fitting, key=lambda i: (shares[i].share, settings[i].seconds))
-            if fitting
-            else min(numbers, key=lambda i: settings[i].seconds)
-        )
-    held = [i for i in numbers if tolerance is not None and shares[i].high <= tolerance]
-    if held:
-        return min(held, key=lambda i: settings[i].seconds)
-    return min(numbers, key=lambda i: (shares[i].share, settings[i].seconds))
+    fitting = [i for i in numbers if budget is None or settings[i].seconds <= budget]
+    held = [i for i in fitting if tolerance is not None and shares[i].high <= tolerance]
+    if held or not fitting:
+        return min(held or numbers, key=lambda i: settings[i].seconds)
+    return min(fitting, key=lambda i: (shares[i].share, settings[i].seconds))
 
 
 def frontier(settings: Sequence[Setting], shares: Sequence[Share]) -> list[bool]:

@@ -1,8 +1,8 @@
 """Axes of a sweep: a number, a list of numbers, or a range."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from pydantic import (
     Discriminator,
     Field,
     Tag,
+    ValidationError,
     model_validator,
 )
 
-from worker.spec.errors import BrokenRuleError, describe, did_you_mean, one_of
+from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, did_you_mean, one_of, problems_of
 
 #: Range of gamma and omega, and upper bound of xi: beyond any physical experiment, well within double
 #: precision.
@@ -29,14 +30,40 @@ MAX_AXIS_VALUES: Final = 100_000
 
 
 class Strict(BaseModel):
-    """A frozen value object: no coercion, no unknown fields."""
+    """A frozen value object: no coercion, no unknown fields; invalid ones raise `SpecInvalid`."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    if not TYPE_CHECKING:  # editors and type checkers see the fields
+
+        def __init__(self, /, **data: object) -> None:
+            try:
+                super().__init__(**data)
+            except ValidationError as error:
+                fields = {each.tag(): tuple(each.model_fields) for each in _subclasses(Strict)}
+                own = type(self).model_fields
+                objects = {name: field.annotation for name, field in own.items()}
+                fields |= {
+                    name: tuple(each.model_fields)
+                    for name, each in objects.items()
+                    if isinstance(each, type) and issubclass(each, Strict)
+                }
+                fields[""] = tuple(own)
+                raise SpecInvalid(problems_of(error, fields)) from None
+
+        #: As of pydantic's own: for a field it is not called, whose errors so keep their whole path.
+        __init__.__pydantic_base_init__ = True
 
     @classmethod
     def tag(cls) -> str:
         """The tag of this class in unions: it leads from an error to the names of its fields."""
         return f"<{cls.__name__}>"
+
+
+def _subclasses(cls: type[Strict]) -> Iterator[type[Strict]]:
+    for subclass in cls.__subclasses__():
+        yield subclass
+        yield from _subclasses(subclass)
 
 
 def kind_of(value: object, default: str | None = None) -> Any:
@@ -45,12 +72,13 @@ def kind_of(value: object, default: str | None = None) -> Any:
 
 
 def check_kind(
-    value: object, table: Mapping[str, object], offered: Iterable[str], default: str | None = None
+    value: object, table: Mapping[str, object], offered: Collection[str], default: str | None = None
 ) -> object:
     """The value, whose `kind` is in the table. Raises BrokenRuleError, which names the kinds offered."""
     if not isinstance(value, dict | Strict):
-        example = next(iter(table))
-        raise BrokenRuleError("", f"must be a group of fields, as of kind {example!r}, not {describe(value)}")
+        example = value if isinstance(value, str) and value in offered else next(iter(table))
+        rule = f'must be a group of fields, as {{kind = "{example}"}}, not {describe(value)}'
+        raise BrokenRuleError("", rule)
     kind = kind_of(value, default)
     if isinstance(kind, str) and kind in table:
         return value

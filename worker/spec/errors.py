@@ -84,7 +84,7 @@ def describe(value: object) -> str:
         case int() | float():
             text = repr(value)
         case str():
-            text = f"text {_shorten(ascii(value))}"
+            text = f"text {_shorten(repr(value))}"
         case dict():
             text = "a group of fields"
         case list() | tuple():
@@ -100,9 +100,16 @@ def one_of(names: Iterable[str]) -> str:
     return " or ".join(filter(None, [", ".join(quoted[:-1]), quoted[-1]]))
 
 
+#: What other words for a field mean.
+_MEANT: Final = {"γ": "gamma", "ω": "omega", "ξ": "xi", "step": "num"}
+
+
 def did_you_mean(wrong: object, names: Iterable[str]) -> str:
     """`; did you mean 'name'?` with the name closest to `wrong`; empty if none is close."""
-    close = difflib.get_close_matches(wrong.lower(), list(names), n=1) if isinstance(wrong, str) else []
+    if not isinstance(wrong, str):
+        return ""
+    names, meant = list(names), _MEANT.get(wrong.lower(), "")
+    close = [meant] if meant in names else difflib.get_close_matches(wrong.lower(), names, n=1)
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
@@ -133,7 +140,7 @@ def _path(parts: Iterable[int | str]) -> str:
         if isinstance(part, int):
             path += f"[{part}]"
         elif not _is_tag(part):
-            name = part if part.isidentifier() and len(part) <= 40 else _shorten(ascii(part))
+            name = part if part.isidentifier() and len(part) <= 40 else _shorten(repr(part))
             path += f".{name}" if path else name
     return path
 
@@ -200,6 +207,7 @@ _RULES: Final = {
     "string_unicode": "must be text that UTF-8 can write, without lone surrogates",
     "string_too_long": "must have at most {max_length} characters, not {length}",
     "string_pattern_mismatch": "must match {pattern}, not {value}",
+    "tuple_type": "must be a list, not {value}",
     "model_type": "must be a group of fields, not {value}",
     "finite_number": "must be finite, not {value}",
     "literal_error": "must be {expected}, not {value}",

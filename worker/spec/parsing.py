@@ -51,7 +51,7 @@ def _reject_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for key, value in pairs:
         if key in fields:
-            raise _unreadable(f"field {describe(key)} is given twice; give it once")
+            raise _unreadable(f"field {key!r:.80} is given twice; give it once")
         fields[key] = value
     return fields
 
@@ -59,7 +59,7 @@ def _reject_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def read_json(text: str | bytes) -> object:
     """Parse JSON text. Raises `SpecUnreadable` with the line and column of a syntax error."""
     try:
-        decoded = text if isinstance(text, str) else text.decode("utf-8")
+        decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
         return json.loads(
             decoded, parse_constant=_reject_constant, parse_int=_whole,
             object_pairs_hook=_reject_repeated_keys,
@@ -67,10 +67,23 @@ def read_json(text: str | bytes) -> object:
     except UnicodeDecodeError as error:
         raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:
-        where = f"line {error.lineno}, column {error.colno}"
-        raise _unreadable(f"the text is not JSON at {where}") from None
+        if not decoded.strip():
+            raise _unreadable("the text is empty") from None
+        raise _unreadable(_syntax("JSON", decoded, error.lineno, error.colno, error.msg)) from None
     except RecursionError:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
+
+
+def _syntax(format: str, text: str, line: int, column: int, said: str) -> str:
+    """What is wrong at a place of a text, counted from 1, of which the format's reader says `said`."""
+    there = text.split("\n")[line - 1]
+    if "overwrite" in said or "twice" in said:
+        return (
+            f"field {there.partition('=')[0].strip('[] ')!r:.80} is given twice, at line {line}; give it once"
+        )
+    if re.search(r"\d,\d", there[max(column - 3, 0) : column + 1]):
+        said = "a number has a decimal point, no comma"
+    return f"the text is not {format} at line {line}, column {column}: {said}"
 
 
 def fields_of(data: object, what: str) -> dict[str, Any]:
@@ -85,15 +98,16 @@ def fields_of(data: object, what: str) -> dict[str, Any]:
 
 def read_file(path: Path) -> object:
     """Read and parse a .json, .toml, .yaml or .yml file. Raises `SpecUnreadable`, also for a missing file."""
-    if path.suffix not in _READERS:
-        raise _unreadable(f"{path}: a specification file ends in .json, .toml or .yaml")
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise _unreadable(f"{path}: a specification file ends in .json, .toml, .yaml or .yml")
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise _unreadable(f"{path}: must be at most {MAX_FILE_BYTES} bytes; give long axes as ranges")
         content = path.read_bytes()
     except OSError as error:
         raise _unreadable(f"{path}: {error.strerror or error}") from None
-    return _READERS[path.suffix](content)
+    return reader(content)
 
 
 def _text(content: bytes, format: str) -> str:
@@ -103,7 +117,7 @@ def _text(content: bytes, format: str) -> str:
             f"a {format} file must be at most {MAX_SLOW_BYTES} bytes; give long axes as ranges, or write JSON"
         )
     try:
-        return content.decode("utf-8")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
 
@@ -114,8 +128,13 @@ def _read_toml(content: bytes) -> object:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        where = re.search(r"line \d+, column \d+", str(error))
-        raise _unreadable(f"the text is not TOML{f' at {where[0]}' if where else ''}") from None
+        said = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", str(error))
+        rule = (
+            _syntax("TOML", text, int(said[2]), int(said[3]), said[1])
+            if said
+            else f"the text is not TOML: {error}"
+        )
+        raise _unreadable(rule) from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the TOML cannot be read: {error}") from None
 

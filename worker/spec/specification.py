@@ -2,18 +2,18 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Self
+from typing import Annotated, Any, ClassVar, Final, Self
 from unicodedata import category
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from worker.spec import parsing
 from worker.spec.axes import AxisValue, Strict, length_of, values_of
-from worker.spec.errors import BrokenRuleError, SpecInvalid, problems_of
+from worker.spec.errors import BrokenRuleError, describe
 
 #: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
 MAX_MARKS: Final = 4
@@ -34,38 +34,21 @@ def _label(name: str) -> str:
 Label = Annotated[str, Field(max_length=200, description="A label for lists."), AfterValidator(_label)]
 
 
-#: The id of a job: 32 hex digits.
-JobId = Annotated[str, Field(pattern="^[0-9a-f]{32}$")]
+def _hex(text: object) -> object:
+    if isinstance(text, str) and not re.fullmatch("[0-9a-f]{32}", text):
+        raise BrokenRuleError("", f"must be the id of a job, 32 hex digits, not {describe(text)}")
+    return text
 
 
-def _subclasses(cls: type[Strict]) -> Iterator[type[Strict]]:
-    for subclass in cls.__subclasses__():
-        yield subclass
-        yield from _subclasses(subclass)
+#: The id of a job.
+JobId = Annotated[str, Field(pattern="^[0-9a-f]{32}$"), BeforeValidator(_hex)]
 
 
 class Document(Strict):
-    """An object of its own in JSON. Invalid fields raise `SpecInvalid`, field by field."""
+    """An object of its own in JSON."""
 
     #: What errors call it.
     WHAT: ClassVar = "a specification"
-
-    if not TYPE_CHECKING:  # editors and type checkers see the fields
-
-        def __init__(self, /, **data: object) -> None:
-            try:
-                super().__init__(**data)
-            except ValidationError as error:
-                fields = {each.tag(): tuple(each.model_fields) for each in _subclasses(Strict)}
-                own = type(self).model_fields
-                objects = {name: field.annotation for name, field in own.items()}
-                fields |= {
-                    name: tuple(each.model_fields)
-                    for name, each in objects.items()
-                    if isinstance(each, type) and issubclass(each, Strict)
-                }
-                fields[""] = tuple(own)
-                raise SpecInvalid(problems_of(error, fields)) from None
 
     @classmethod
     def parse(cls, data: object) -> Self:

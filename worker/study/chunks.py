@@ -184,11 +184,11 @@ def check_size(
         (cost.cells, "") if cost.computed_cells is None else (cost.computed_cells[1], "computed ")
     )
     if cells > max_cells:
-        rule = f"asks for {cells} {computed}cells; at most {max_cells} are allowed: take fewer values"
+        rule = f"asks for {cells:,} {computed}cells; at most {max_cells:,} are allowed: take fewer values"
         raise SpecTooLarge([Problem("", rule)])
     if cost.bytes > max_bytes:
         per_cell = cost.bytes // cost.cells
-        rule = f"asks for {cost.bytes} bytes, {per_cell} per cell; at most {max_bytes} are allowed"
+        rule = f"asks for {cost.bytes:,} bytes, {per_cell:,} per cell; at most {max_bytes:,} are allowed"
         raise SpecTooLarge([Problem("keep", f"{rule}: keep fewer flights or take fewer values")])
     if cost.upper_core_seconds > max_core_seconds:
         rule = (

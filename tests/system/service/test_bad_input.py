@@ -49,7 +49,7 @@ def raw(name: str, gamma: str, status: int, message: str) -> Body:
 
 
 BODIES = [
-    text("nothing", b"", 400, "not JSON"),
+    text("nothing", b"", 400, "the text is empty"),
     text("not UTF-8", b'{"name": "\xff"}', 400, "not UTF-8 at byte 10"),
     text("deep nesting", "[" * 9000 + "]" * 9000, 400, "nested too deeply"),
     raw("NaN", "NaN", 400, "NaN"),
@@ -58,7 +58,7 @@ BODIES = [
     text("a list", "[1, 2]", 422, "must be a group of fields"),
     text("an empty object", "{}", 422, "gamma: is required"),
     spec("an unknown field", 422, "did you mean 'gamma'", gama=1.0),
-    spec("too many cells", 413, "at most 1000000",
+    spec("too many cells", 413, "at most 1,000,000",
          gamma={"start": 1, "stop": 2, "num": 99999}, xi=list(range(99))),
     spec("too many bytes", 413, "keep", keep=10_000, gamma={"start": 1, "stop": 2, "num": 90_000}),
     text("a body too long", b" " * (MAX_BODY + 1), 413, f"longer than {MAX_BODY:,} bytes"),

@@ -18,6 +18,7 @@ SPEC = SweepSpec(
 )
 
 RIGID = {"kind": "rigid"}
+BASIN = {"gamma": 2.0, "omega": 0.5, "xi": 0.1, "settle": 9, "observe": 9, "protocol": {"kind": "basin"}}
 
 
 class Simulated:
@@ -59,6 +60,16 @@ def test_a_budget_too_short_for_any_level_says_what_may_work():
         SpecInvalid, match=r"was over before the first level of 48 cells was complete; 2s may work"
     ):
         within(SPEC, 1.0, runner, clock=runner.clock)
+
+
+def test_a_budget_is_refused_before_anything_is_computed(tmp_path: Path):
+    for spec, budget, rule in (
+        (SPEC, 0.0, "must be above 0 s, not 0"),
+        (BASIN, 5.0, "is for sweeps; this study"),
+    ):
+        with pytest.raises(SpecInvalid, match=f"budget: {rule}"):
+            local.run(spec, tmp_path / "a.zarr", budget=budget, progress=False)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_within_a_budget_is_the_sweep_with_its_audit():

@@ -118,6 +118,11 @@ def test_what_is_there_is_not_replaced(tmp_path: Path):
         local.run(SPEC | {"settle": 31}, tmp_path / "b.zarr", progress=False)
 
 
+def test_a_store_is_no_file(tmp_path: Path):
+    with pytest.raises(InvalidRequest, match="store: is a folder of zarr, not"):
+        local.run(SPEC, tmp_path / "a.nc", progress=False)
+
+
 def test_complex_arrays_are_written_as_their_parts(tmp_path: Path):
     local.run_to_file(ORBITS, tmp_path / "a.nc", "nc", progress=False)
     stored = local.run(ORBITS, progress=False).multiplier

@@ -3,7 +3,7 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { clampIndex, hasCycles, inSymbols, isClose, nearestIndex } from "../lib/physics.js";
+import { clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";

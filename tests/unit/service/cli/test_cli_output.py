@@ -34,7 +34,7 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
         "name      ω sweep",
         "state     running",
         "progress  50% (12,000 of 24,000 cells, 1,500 of 3,000 chunks), 2 min 5 s left",
-        "settling  7 of 12,000 cells were still settling: give them more time with settle auto and until",
+        "settling  7 of 12,000 cells were still settling: give them a larger until, with settle auto",
         "model     rigid: the cheapest",
         "owner     ana",
         "created   2026-01-01T00:00:00Z",
@@ -88,3 +88,15 @@ def test_a_table_fits_the_terminal():
     assert lines[0].split() == ["omega", *(f"value_{i}" for i in range(7)), "cause"]
     assert lines[2].split()[1] == "3.14159265"
     assert lines[3:] == ["status  found", "omega 0.5: no", f"omega 0.6: {'b' * 41}"]
+
+
+def test_a_table_of_flights_has_their_exponents_and_one_without_rows_says_none():
+    cells = {
+        "flight_time": (("omega", "flight"), [[1.0, np.nan]]),
+        "lyapunov": (("omega", "exponent"), [[0.1, -2]]),
+    }
+    result = xarray.Dataset(cells, {"omega": [0.5]})
+    head, row = table(result, ["flight_time"]).splitlines()
+    assert head.split() == ["omega", "flight", "flight_time", "lyapunov_1", "lyapunov_2"]
+    assert row.split() == ["0.5", "0", "1", "0.1", "-2"]
+    assert table(result.isel(omega=[]), ["flight_time"]).endswith(": none")

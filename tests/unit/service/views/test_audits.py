@@ -14,8 +14,10 @@ from service.local import computed
 from service.views.audit import affordable
 from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
+from worker.analysis.planning import Setting, Share, recommended
 from worker.spec.contact_models import Soft
 from worker.sweep import SweepSpec
+from worker.sweep.levels import WHOLE
 
 PLANE = spec_of((0.8, 4, 24), (0.4, 1.0, 16), 0.1)
 RAMP = PLANE | {
@@ -164,6 +166,13 @@ def test_a_plan_tells_what_a_budget_buys(client: TestClient):
     assert rows["effort"][draft] == "draft"
     assert rows["share"][draft] > rows["share"][whole]
     assert rows["seconds"][draft] < rows["seconds"][whole]
+
+
+def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
+    settings = [Setting(None, WHOLE, seconds) for seconds in (9.0, 5.0, 1.0)]
+    shares = [Share(100, share, 0.0, share) for share in (0.01, 0.02, 0.3)]
+    limits = [(6.0, 0.05), (6.0, None), (None, 0.5), (6.0, 0.001), (0.5, 0.05)]
+    assert [recommended(settings, shares, *each) for each in limits] == [1, 1, 2, 1, 2]
 
 
 def test_a_plan_that_would_take_hours_is_refused_before_it_begins(client: TestClient):

@@ -84,7 +84,7 @@ def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
     """A bin is drawn where flights are; one flight covers its bin alone."""
     monkeypatch.setattr(pictures, "DENSE_POINTS", 2)
     monkeypatch.setattr(pictures, "COLUMNS_AND_ROWS", (4, 4))
-    monkeypatch.setattr(pictures, "_dot", lambda number: 0.36)  # a pixel
+    monkeypatch.setattr(pictures, "dot_of", lambda number: 0.36)  # a pixel
     axes = drawn(cells())
     (line,) = dots(axes)
     assert places(line) == []

@@ -104,8 +104,8 @@ def test_too_much_is_refused_with_the_limit():
     cost = cost_of(sweep(gamma=1000))
     check_size(cost, max_cells=1000, max_bytes=1_061_000, max_core_seconds=cost.upper_core_seconds)
     for limit, rule in (
-        ({"max_cells": 999}, r"^asks for 1000 cells; at most 999 are allowed: take fewer values$"),
-        ({"max_bytes": 1_060_999}, r"^keep: asks for 1061000 bytes, 1061 per cell; at most 1060999 are"),
+        ({"max_cells": 999}, r"^asks for 1,000 cells; at most 999 are allowed: take fewer values$"),
+        ({"max_bytes": 1_060_999}, r"^keep: asks for 1,061,000 bytes, 1,061 per cell; at most 1,060,999 are"),
         (
             {"max_core_seconds": 0.99 * cost.upper_core_seconds},
             r"^asks for up to \S+ core-seconds; at most \S+ are",

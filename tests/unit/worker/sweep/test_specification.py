@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from tables import for_each
 
-from worker.spec.axes import MAX_AXIS_VALUES
-from worker.spec.contact_models import CONTACT_MODELS, penetration_of
+from worker.spec.axes import MAX_AXIS_VALUES, Range
+from worker.spec.contact_models import CONTACT_MODELS, Rigid, penetration_of
 from worker.spec.errors import SpecInvalid, SpecUnreadable
 from worker.spec.specification import Label
 from worker.studies import from_stored
@@ -73,7 +73,10 @@ AXIS_RULES = [
         "gamma.spacing: must be 'linear' or 'log', not text 'lin'; did you mean 'linear'?",
     ),
     (range_(start=0.0, spacing="log"), "gamma.start: must be above 0 for spacing 'log', not 0.0; "),
-    (range_(step=0.1), "gamma.step: is not a field here; did you mean 'stop'? the fields are start, stop, "),
+    (
+        range_(step=0.1),
+        "gamma.step: is not a field here; did you mean 'num'? the fields are start, stop, num",
+    ),
 ]
 
 STEPPED = {"kind": "stepped", "penetration": 1e-4}
@@ -89,7 +92,9 @@ RULES = [
     ({"name": "x" * 201}, "name: must have at most 200 characters, not 201"),
     ({"name": "two\nlines"}, "name: must be one line of printable characters"),
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
-    ({"protocol": "rest"}, "protocol: must be a group of fields, as of kind 'rest', not text 'rest'"),
+    ({"protocol": "ramp"}, "protocol: must be a group of fields, as {kind = \"ramp\"}, not text 'ramp'"),
+    ({"Γ": 1}, "Γ: is not a field here; did you mean 'gamma'? "),
+    ({"parent": "xyz"}, "parent: must be the id of a job, 32 hex digits, not text 'xyz'"),
     ({"protocol": {}}, "protocol.kind: is required: 'rest', 'ramp', 'orbits', 'basin' or 'multistability'"),
     ({"protocol": {"kind": "rest", "axis": "xi"}}, "protocol.axis: is not a field here; the fields are kind"),
     ({"protocol": {"kind": "ramp"}}, "protocol.axis: is required\nprotocol.direction: is required"),
@@ -376,13 +381,27 @@ def test_infinities_words_and_dates_are_no_numbers(tmp_path, name, text, fields)
     assert [problem.field for problem in caught.value.problems] == fields
 
 
+@for_each(
+    ("make", "expected"),
+    [
+        (lambda: Range(start=3, stop=1, num=5), "start: must not be above stop"),
+        (lambda: Rigid(penetration=1), "penetration: is not a field here; the fields are kind, restitution"),
+    ],
+)
+def test_an_object_of_a_specification_says_its_rules(make, expected):
+    with pytest.raises(SpecInvalid) as caught:
+        make()
+    assert str(caught.value).startswith(expected)
+
+
 UNREADABLE = [
-    (b"", "the text is not JSON at line 1, column 1"),
+    (b"", "the text is empty"),
+    (b'{"gamma": 0,4}', "the text is not JSON at line 1, column 13: a number has a decimal point, no comma"),
     (b'{"gamma": 1,}', "the text is not JSON at line 1, column 1"),
     (b"\xff", "the text is not UTF-8 at byte 0"),
     (b'{"gamma": NaN}', "NaN is not a number in JSON; leave the value out or give a finite one"),
     (b'{"gamma": -Infinity}', "-Infinity is not a number in JSON"),
-    (b'{"xi": 1, "xi": 2}', "field text 'xi' is given twice; give it once"),
+    (b'{"xi": 1, "xi": 2}', "field 'xi' is given twice; give it once"),
     (b'{"xi": ' + b"1" * 5000 + b"}", "a number of 5000 digits is too long; 400 is the most"),
     (b"[" * 100_000, "the JSON is nested too deeply; a specification needs two levels"),
 ]
@@ -398,7 +417,13 @@ def test_unreadable_text_says(text, expected):
 @for_each(
     ("name", "content", "expected"),
     [
-        ("a.txt", b"", "a specification file ends in .json, .toml or .yaml"),
+        ("a.txt", b"", "a specification file ends in .json, .toml, .yaml or .yml"),
+        (
+            "a.TOML",
+            b"\xef\xbb\xbfgamma = 0,4",
+            "TOML at line 1, column 10: a number has a decimal point, no ",
+        ),
+        ("a.toml", b"[model]\n[model]", "field 'model' is given twice, at line 2; give it once"),
         ("a.yaml", b"gamma: [1", "the text is not YAML at line 1, column "),
         ("a.yaml", b"gamma: 1\ngamma: 2", "field 'gamma' is given twice; give it once"),
         ("a.yml", b"gamma: &a [1, 2]\nomega: *a\nxi: 1", "aliases are not read; write the value twice"),
