@@ -69,21 +69,16 @@ def read_json(text: str | bytes) -> object:
     except json.JSONDecodeError as error:
         if not decoded.strip():
             raise _unreadable("the text is empty") from None
-        raise _unreadable(_syntax("JSON", decoded, error.lineno, error.colno, error.msg)) from None
+        raise _unreadable(_syntax("JSON", decoded, error.lineno, error.colno)) from None
     except RecursionError:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None
 
 
-def _syntax(format: str, text: str, line: int, column: int, said: str) -> str:
-    """What is wrong at a place of a text, counted from 1, of which the format's reader says `said`."""
-    there = text.split("\n")[line - 1]
-    if "overwrite" in said or "twice" in said:
-        return (
-            f"field {there.partition('=')[0].strip('[] ')!r:.80} is given twice, at line {line}; give it once"
-        )
-    if re.search(r"\d,\d", there[max(column - 3, 0) : column + 1]):
-        said = "a number has a decimal point, no comma"
-    return f"the text is not {format} at line {line}, column {column}: {said}"
+def _syntax(format: str, text: str, line: int, column: int) -> str:
+    """The rule that a text breaks at a place, counted from 1."""
+    there = text.split("\n")[line - 1][max(column - 3, 0) : column + 1]
+    rule = ": a number has a decimal point, no comma" if re.search(r"\d,\d", there) else ""
+    return f"the text is not {format} at line {line}, column {column}{rule}"
 
 
 def fields_of(data: object, what: str) -> dict[str, Any]:
@@ -128,13 +123,12 @@ def _read_toml(content: bytes) -> object:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", str(error))
-        rule = (
-            _syntax("TOML", text, int(said[2]), int(said[3]), said[1])
-            if said
-            else f"the text is not TOML: {error}"
-        )
-        raise _unreadable(rule) from None
+        place = re.search(r"line (\d+), column (\d+)", str(error))
+        lines = text.split("\n")  # an error without a place is at the end
+        line, column = (int(place[1]), int(place[2])) if place else (len(lines), len(lines[-1]) + 1)
+        if re.search("overwrite|twice|[Dd]uplicate", str(error)):
+            raise _unreadable(f"a field is given twice, at line {line}; give it once") from None
+        raise _unreadable(_syntax("TOML", text, line, column)) from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the TOML cannot be read: {error}") from None
 

@@ -423,7 +423,7 @@ def test_unreadable_text_says(text, expected):
             b"\xef\xbb\xbfgamma = 0,4",
             "TOML at line 1, column 10: a number has a decimal point, no ",
         ),
-        ("a.toml", b"[model]\n[model]", "field 'model' is given twice, at line 2; give it once"),
+        ("a.toml", b"[model]\n[model]", "a field is given twice, at line 2; give it once"),
         ("a.yaml", b"gamma: [1", "the text is not YAML at line 1, column "),
         ("a.yaml", b"gamma: 1\ngamma: 2", "field 'gamma' is given twice; give it once"),
         ("a.yml", b"gamma: &a [1, 2]\nomega: *a\nxi: 1", "aliases are not read; write the value twice"),
