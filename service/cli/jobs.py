@@ -106,7 +106,7 @@ def run(
     from service import local
 
     if output == "-":
-        rule = "must be a file: an interrupted run goes on beside it; results of jobs go to standard output"
+        rule = 'must be a file: what is computed is kept beside it; "bounce diagram ID -o -" streams'
         raise click.BadParameter(rule, param_hint="'-o'")
     format = output_format(output, _RUN_FORMATS, format)
     specification = _specification(spec, effort)

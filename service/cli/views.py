@@ -3,6 +3,7 @@
 Their options are the parameters of the client's methods. Beside them export and trajectory.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from inspect import Parameter, cleandoc, signature
 from io import BytesIO
@@ -107,8 +108,6 @@ def command(name: str) -> click.Command:
 
 def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any]) -> bytes:
     """A result with measured points over it, drawn here."""
-    from json import dumps
-
     from service.pictures import draw_caption, metadata
 
     result, file = job.result(name, **query), BytesIO()
@@ -117,9 +116,9 @@ def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any
         axes.set_title("")
         draw_caption(axes, result)
     origin = {each: result.attrs[each] for each in ("job", "kernel_version", "release")}
-    origin["spec"] = dumps(job.spec, ensure_ascii=False)
-    figure = axes.get_figure(root=True)
-    figure.savefig(file, format=format, bbox_inches="tight", metadata=metadata(format, origin))
+    origin["spec"] = json.dumps(job.spec, ensure_ascii=False)
+    about = metadata(format, origin)
+    axes.get_figure(root=True).savefig(file, format=format, bbox_inches="tight", metadata=about)
     return file.getvalue()
 
 
@@ -194,10 +193,8 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
         every = -(-result.sizes["point"] // POINTS)
         result = result.isel(point=slice(None, None, every))
     if "lyapunov" in result and "exponent" not in dims:
-        each = {
-            f"lyapunov_{i + 1}": part for i, part in enumerate(result.lyapunov.transpose("exponent", ...))
-        }
-        result = result.assign(each)
+        each = enumerate(result.lyapunov.transpose("exponent", ...), 1)
+        result = result.assign({f"lyapunov_{i}": part for i, part in each})
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
     frame = result[names].to_dataframe()
     for name in names:

@@ -42,12 +42,9 @@ class Strict(BaseModel):
             except ValidationError as error:
                 fields = {each.tag(): tuple(each.model_fields) for each in _subclasses(Strict)}
                 own = type(self).model_fields
-                objects = {name: field.annotation for name, field in own.items()}
-                fields |= {
-                    name: tuple(each.model_fields)
-                    for name, each in objects.items()
-                    if isinstance(each, type) and issubclass(each, Strict)
-                }
+                for name, kind in ((name, field.annotation) for name, field in own.items()):
+                    if isinstance(kind, type) and issubclass(kind, Strict):
+                        fields[name] = tuple(kind.model_fields)
                 fields[""] = tuple(own)
                 raise SpecInvalid(problems_of(error, fields)) from None
 

@@ -226,5 +226,5 @@ def test_the_estimate_is_a_range_and_limits_hold_its_upper_end():
     assert 0 < cost.least_core_seconds < cost.core_seconds
     assert cost.core_seconds < cost.longest_core_seconds  # all computed cells may settle until the end
     check_size(cost)
-    with pytest.raises(SpecTooLarge, match=f"{high} computed cells"):
+    with pytest.raises(SpecTooLarge, match=f"{high:,} computed cells"):
         check_size(cost, max_cells=high - 1)
