@@ -86,7 +86,7 @@ def within(
     steps: Steps | None = WHOLE if second >= whole else coarsest(spec)
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
-        show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {left:.0f} s left")
+        show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {max(left, 0.0):.0f} s left")
         now = clock()
         # The first level may take all of the time: without it there is no answer.
         if not runner.compute(part, left - (reserved if answer.levels else 0.0)):
