@@ -7,12 +7,14 @@ import resource
 import socket
 from collections.abc import Callable
 from concurrent.futures import Future
+from http import HTTPStatus
 from typing import Any, Final
 
 import uvicorn
 from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from service.api.problems import ProblemResponse
 from service.errors import NotStarted
 from service.settings import Settings
 
@@ -28,10 +30,12 @@ BACKLOG: Final = 2048
 #: Maximum open files requested, although some systems allow a thousand million.
 MOST_FILES: Final = 65_536
 
-_FULL_RESPONSE: Final = (
-    b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nRetry-After: 2\r\nConnection: close\r\n\r\n"
-)
-_TIMEOUT_RESPONSE: Final = b"HTTP/1.1 408 Request Timeout\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+
+def _answer(status: HTTPStatus, detail: str) -> bytes:
+    """What a connection gets that never reaches the application: a problem document, and its end."""
+    problem = ProblemResponse(status, detail)
+    headers = b"".join(b"%s: %s\r\n" % pair for pair in [*problem.raw_headers, (b"connection", b"close")])
+    return b"HTTP/1.1 %d %s\r\n%s\r\n%s" % (status, status.phrase.encode(), headers, problem.body)
 
 
 class WebServer(uvicorn.Server):
@@ -114,7 +118,7 @@ class Limited(H11Protocol):
                 socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds
             )
         if len(self.connections) > self.limit:
-            transport.write(_FULL_RESPONSE)
+            transport.write(_answer(HTTPStatus.SERVICE_UNAVAILABLE, "too many connections"))
             transport.close()
         else:
             self._start_timer()
@@ -132,6 +136,11 @@ class Limited(H11Protocol):
         elif self._timer is None:
             self._start_timer()
 
+    def send_400_response(self, msg: str) -> None:
+        """Called by uvicorn for what is no request, with its own words."""
+        self.transport.write(_answer(HTTPStatus.BAD_REQUEST, "the request is not HTTP/1.1"))
+        self.transport.close()
+
     @property
     def _responding(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete
@@ -147,7 +156,8 @@ class Limited(H11Protocol):
     def _on_timeout(self) -> None:
         self._timer = None
         if not self._responding and not self.transport.is_closing():
-            self.transport.write(_TIMEOUT_RESPONSE)
+            rule = f"the head of the request did not arrive within {self.timeout:g} s"
+            self.transport.write(_answer(HTTPStatus.REQUEST_TIMEOUT, rule))
             self.transport.close()
 
 

@@ -169,6 +169,12 @@ def test_a_stalled_body_times_out(address: tuple[str, int]):
     assert b"did not arrive within 0.5 s" in answer
 
 
+def test_what_is_no_request_gets_a_problem_document(address: tuple[str, int]):
+    head, _, body = exchange(address, b"Content-Length: -1\r\n\r\n").partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 400 Bad Request\r\n")
+    assert json.loads(body)["detail"] == "the request is not HTTP/1.1"
+
+
 HEAD = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
 
 
@@ -187,6 +193,7 @@ def test_an_incomplete_head_times_out(address: tuple[str, int], before: bytes, p
                 time.sleep(0.05)
             rest = b"".join(iter(lambda: connection.recv(65536), b""))
             assert rest.startswith(b"HTTP/1.1 408 ")
+            assert b"application/problem+json" in rest
 
 
 def test_a_connection_in_use_does_not_time_out(address: tuple[str, int]):
