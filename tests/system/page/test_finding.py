@@ -327,11 +327,11 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
         captioned = len(saved("SVG"))
         page.get_by_label("with a caption").uncheck()
         assert len(saved("SVG")) < captioned
-        window = "x0=1&x1=2&y0=1.5&y1=6&hide=3"
+        window = "x0=0.55&x1=2&y0=0.4&y1=6&hide=3"
         for tab, shown in (
-            ("diagram", "start=1&stop=2&flight_start=1.5&flight_stop=6&hide=at_rest"),
-            ("modes", "gamma_start=1&gamma_stop=2&omega_start=1.5&omega_stop=6&hide=at_rest"),
-            ("thresholds", "omega_start=1&omega_stop=2&gamma_start=1.5&gamma_stop=6"),
+            ("diagram", "start=0.55&stop=2&flight_start=0.4&flight_stop=6&hide=at_rest"),
+            ("modes", "gamma_start=0.55&gamma_stop=2&omega_start=0.4&omega_stop=6&hide=at_rest"),
+            ("thresholds", "omega_start=0.55&omega_stop=2&gamma_start=0.4&gamma_stop=6"),
         ):
             page.goto(f"{address}/#/job/{job}/{tab}?omega=0.5&{window}")
             wait_shown(page, xi=0.05)
