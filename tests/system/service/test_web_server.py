@@ -58,7 +58,7 @@ def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str
         with socket.create_connection(address, timeout=DEADLINE) as next_:
             answer = received(next_)
         assert answer.startswith(b"HTTP/1.1 503 ")
-        assert b"Retry-After: 2" in answer
+        assert b"retry-after: 2" in answer
         assert not healthy()
         last.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
         assert received(last).startswith(b"HTTP/1.1 200 ")
