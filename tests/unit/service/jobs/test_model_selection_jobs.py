@@ -1,8 +1,9 @@
 """Jobs whose model a worker chooses: recorded before anything is computed, shown, and reproducible."""
 
 import json
-import time
+import threading
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,18 @@ class Unlucky(Inline):
         raise self.errors.pop(0)
 
 
+class Undecided(Held):
+    """Never chooses; `choosing` is set once it should."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.choosing = threading.Event()
+
+    def call(self, *_: Any) -> "Future[Any]":
+        self.choosing.set()
+        return super().call()
+
+
 def ended(client: TestClient, spec: dict[str, Any] = SWEEP) -> dict[str, Any]:
     """The job, finished."""
     here = client.post("/v1/jobs", json=spec).headers["Location"]
@@ -59,9 +72,10 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient,
 
 
 def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path):
-    with service(tmp_path, Held(), active_jobs=1) as client:
+    undecided = Undecided()
+    with service(tmp_path, undecided, active_jobs=1) as client:
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
-        time.sleep(0.5)  # until its choice is under way
+        wait_for(undecided.choosing.is_set)
         client.post(f"{here}/cancel")
         other = client.post("/v1/jobs", json=SWEEP | {"model": {"kind": "rigid"}}).headers["Location"]
         wait_for(lambda: client.get(other).json()["state"] == "running", seconds=10)
