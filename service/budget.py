@@ -74,10 +74,13 @@ def within(
     spec: SweepSpec,
     budget: float,
     runner: Runner,
-    show: Callable[[str], None] = lambda _: None,
+    show: Callable[[str, float], None] = lambda _, left: None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Answer:
-    """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does."""
+    """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does.
+
+    `show` is told what begins, and how many seconds are left.
+    """
     began, answer = clock(), Answer()
     asked, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
@@ -86,7 +89,7 @@ def within(
     steps: Steps | None = WHOLE if second >= whole else coarsest(spec)
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
-        show(f"{cells(spec, steps):,} cells{_thinning(steps)}, {max(left, 0.0):.0f} s left")
+        show(f"{cells(spec, steps):,} cells{_thinning(steps)}", max(left, 0.0))
         now = clock()
         # The first level may take all of the time: without it there is no answer.
         if not runner.compute(part, left - (reserved if answer.levels else 0.0)):
@@ -101,9 +104,9 @@ def within(
         raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(asked, took):.3g}s may work")])
     left = budget - (clock() - began)
     if left >= LEAST_AUDIT:
-        show(f"audit of the last level, {left:.0f} s left")
+        show("audit of the last level", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
-    show(answer.audit or "no audit: the time is over")
+    show(answer.audit or "no audit: the time is over", 0.0)
     return answer
 
 

@@ -300,17 +300,18 @@ class _Runner:
 
     def within(self, spec: Any, budget: float) -> Computed:
         """The finest level that fits."""
-        show = display_line if self._progress is True else lambda _: None
+
+        def show(text: str, left: float) -> None:
+            if self._progress is True:
+                display_line(f"{text}, {left:.0f} s left" if left else text)
+
         found = budgets.within(spec, budget, self, show)
         assert self._last is not None
         return self._last._replace(audit=found.audit)
 
     def seconds(self, spec: Any) -> float:
-        plan = self._manager.preparer.plan(spec)
-        with self._ledger.reading() as reading:
-            measured = reading.measured()
-        cost = self._manager.preparer.cost(spec, plan, measured)
-        return cost.core_seconds / min(self._executor.workers(), len(plan))
+        cost = self._manager.cost(spec)
+        return cost.core_seconds / min(cost.workers, cost.chunks)
 
     def compute(self, spec: Any, seconds: float) -> bool:
         try:

@@ -20,6 +20,7 @@ from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, page, results, views
 from service.api.schemas import problem_responses
 from service.background import Background, InThisProcess
+from service.jobs.budgets import Budgets
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import MAX_PENDING, OnDemandCache
 from service.jobs.stores.opening import open_ledger
@@ -98,7 +99,7 @@ async def _lifespan(
             app.state.service = service = _service(settings, ledger, executor, background, metrics)
             service.manager.start()
             stack.callback(service.manager.stop)  # last
-            for part in (service.on_demand, service.small_reads, service.capacity):
+            for part in (service.budgets, service.on_demand, service.small_reads, service.capacity):
                 stack.callback(part.close)
             yield
     except Exception as error:
@@ -112,10 +113,11 @@ def _service(
     manager = JobManager(ledger, executor, settings)
     for collector in (JobsCollector(ledger, manager), *vars(manager.supervisor.metrics).values()):
         metrics.registry.register(collector)
-    return Service(
+    service = Service(
         settings=settings,
         ledger=ledger,
         manager=manager,
+        budgets=Budgets(manager, ledger, lambda job, seconds: views.audited(service, job, seconds)),
         on_demand=OnDemandCache(executor, jobs_compute=manager.supervisor.in_flight),
         capacity=Capacity(
             {
@@ -137,3 +139,4 @@ def _service(
         progress_stream=ProgressStream(ledger, manager.compiling),
         metrics=metrics,
     )
+    return service

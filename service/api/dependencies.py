@@ -17,6 +17,7 @@ from service.api.progress_stream import ProgressStream
 from service.background import Background, InThisProcess
 from service.errors import Busy, InvalidRequest, TooLarge, UnknownJob
 from service.formats import MOST_SHARED
+from service.jobs.budgets import Budgets
 from service.jobs.manager import JobManager
 from service.jobs.on_demand import OnDemandCache
 from service.ledger.ledger import Ledger
@@ -33,6 +34,7 @@ class Service:
     settings: Settings
     ledger: Ledger
     manager: JobManager
+    budgets: Budgets
     on_demand: OnDemandCache
     capacity: Capacity
     small_reads: Capacity

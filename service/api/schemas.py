@@ -91,6 +91,9 @@ class SubmitQuery(Query):
     """Whether to accept the sweep or only to validate it."""
 
     validate_only: bool = False
+    budget: float | None = Field(
+        None, gt=0, le=604_800, description="s in which the finest level of a sweep that fits is computed"
+    )
 
 
 class MotionQuery(Query):
@@ -150,6 +153,19 @@ class CompilingView(BaseModel):
     seconds: float = Field(description="so far")
 
 
+class BudgetView(BaseModel):
+    """A sweep within a time: its levels, each a job."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    doing: str = Field(description="the level that is computed; in the end what its audit says")
+    computing: str | None = Field(description="id of the job of that level")
+    answer: str | None = Field(description="id of the job of the finest level that is done")
+    seconds_left: int
+    over: bool
+    error: str | None = Field(description="why there is no answer")
+
+
 class JobView(BaseModel):
     """A job."""
 
@@ -185,6 +201,9 @@ class JobView(BaseModel):
         None, description="the kernel that is compiled now, before the first chunk; null in lists"
     )
     choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
+    budget: BudgetView | None = Field(
+        None, description="of a level of a budget that this service began: how far that is; null in lists"
+    )
     failures: list[FailureView] = Field([], description="empty in lists and events")
     links: dict[str, str]
 

@@ -1,8 +1,10 @@
 """The entry point: a client of one service, which submits sweeps and returns jobs."""
 
 import re
+import time
 from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import datetime
 from itertools import islice
 from os import PathLike
@@ -11,9 +13,16 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 from urllib.parse import quote
 
-from service.client.display import PartsCallback, display_parts
-from service.client.errors import NotFound, UnexpectedAnswer
-from service.client.job import Job, ResultReader, raise_unless_done, until_ended
+from service.client.display import PartsCallback, display_line, display_parts
+from service.client.errors import (
+    InvalidSpecification,
+    JobCancelled,
+    JobFailed,
+    NotFound,
+    UnexpectedAnswer,
+    WaitTimeout,
+)
+from service.client.job import FIRST_DELAY, Job, ResultReader, raise_unless_done, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
 from service.client.transport import Transport, header_value, json_object
@@ -126,8 +135,9 @@ class Client(ResultReader, SpringMethods):
     def run(self, spec: Specification, *, budget: float, progress: bool = True) -> Job:
         """Compute the finest level of a sweep that fits into a time, and audit it.
 
-        Levels are sweeps from coarse to fine, submitted one after another: plain jobs, whose results can be
-        read while the next one is computed. One that does not end in time is cancelled.
+        The service computes levels, sweeps from coarse to fine, one after another, also if this client goes
+        away: plain jobs, whose results can be read while the next one is computed. One that does not end in
+        time is cancelled.
 
         Parameters
         ----------
@@ -148,9 +158,32 @@ class Client(ResultReader, SpringMethods):
         InvalidSpecification
             The time is too short for any level. Also raises as `submit` and `Job.wait`.
         """
-        from service.client.levels import Levels
-
-        return Levels(self.submit, self.estimate, progress).within(spec, budget)
+        response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
+        first = last = Job(self._transport, json_object(response), response)
+        doing, followed = "", None
+        while True:
+            first._refresh_in_time()
+            reached = first.view.get("budget")
+            if reached is None:  # the service began anew: the level that it computed is the last one
+                return last.wait(progress)
+            if progress and reached["doing"] != doing:
+                doing, left = (
+                    reached["doing"],
+                    "" if reached["over"] else f", {reached['seconds_left']} s left",
+                )
+                display_line(f"{doing}{left}")
+            if reached["over"]:
+                break
+            if reached["computing"] not in (None, followed):
+                followed = reached["computing"]
+                with suppress(JobCancelled, JobFailed, WaitTimeout):  # what others asked for goes on
+                    last = self.job(followed).wait(progress, timeout=reached["seconds_left"])
+            time.sleep(FIRST_DELAY)
+        if reached["answer"] is None:
+            if first.state == "failed":
+                raise JobFailed(first)
+            raise InvalidSpecification.before_sending(reached["error"])
+        return self.job(reached["answer"])
 
     def estimate(self, spec: Specification) -> Estimate:
         """The estimated cost of a sweep, without submitting it. Raises as `submit`."""

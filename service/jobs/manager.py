@@ -20,7 +20,7 @@ from service.settings import Settings
 from worker.executors.base import Compiling, Executor
 from worker.spec.errors import SpecError
 from worker.studies import renewed, study_of
-from worker.study import Plan
+from worker.study import Cost, Plan
 from worker.study.chunks import check_size
 
 log = logging.getLogger(__name__)
@@ -123,6 +123,14 @@ class JobManager:
             max_core_seconds=limits.max_core_seconds,
         )
         return plan
+
+    def cost(self, spec: Any) -> Cost:
+        """The estimated cost of a study on the present workers. Raises SpecTooLarge as `submit`."""
+        plan = self.check(spec)
+        with self._ledger.reading() as ledger:
+            measured = ledger.measured()
+        cost = self.preparer.cost(spec, plan, measured)
+        return cost.model_copy(update={"workers": self.workers()})
 
     def workers(self) -> int:
         """The number of tasks that run at once; may be a second old."""

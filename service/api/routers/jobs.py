@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import AsyncIterator, Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -70,11 +70,14 @@ def submit_job(
     """202 if the sweep is accepted, 200 if the same sweep is queued, running or done already.
 
     A failed or cancelled job resumes. With `validate_only` nothing is accepted; the response is the estimated
-    cost.
+    cost. With `budget` levels of a sweep are computed one after another, from coarse to fine; the response is
+    the job of the first one, whose `budget` says how far it is.
     """
     spec = from_json(body)
     if query.validate_only:
-        return _cost(service, spec)
+        return Response(service.manager.cost(spec).model_dump_json(), media_type="application/json")
+    if query.budget is not None:
+        return _submitted(Submission(service.budgets.begin(spec, query.budget, owner), accepted=True))
     return _submitted(service.manager.submit(spec, idempotency_key, owner))
 
 
@@ -110,15 +113,6 @@ def _submitted(submission: Submission) -> Response:
     return _job_response(job, 202 if accepted else 200, headers)
 
 
-def _cost(service: ServiceDep, spec: Any) -> Response:
-    plan = service.manager.check(spec)
-    with service.ledger.reading() as ledger:
-        measured = ledger.measured()
-    cost = service.manager.preparer.cost(spec, plan, measured)
-    cost = cost.model_copy(update={"workers": service.manager.workers()})
-    return Response(cost.model_dump_json(), media_type="application/json")
-
-
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
 def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()]) -> schemas.JobList:
     """Those that all parameters allow, in the `order` asked for; `next` is the cursor of the next page."""
@@ -147,12 +141,13 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     cluster, notice = service.manager.supervisor.cluster, None
     if job.state in UNFINISHED:
         notice = service.ledger.fault() or cluster.explanation
-    compiling = service.manager.compiling(job)
+    compiling, budget = service.manager.compiling(job), service.budgets.of(job_id)
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)
     # Weak, because the estimated time left changes without it.
-    tag(request, *job.revision, len(failures), notice, compiled, weak=True, headers=headers)
-    return _job_response(job, 200, headers, failures, notice, compiling)
+    reached = None if budget is None else schemas.BudgetView.model_validate(budget)
+    tag(request, *job.revision, len(failures), notice, compiled, reached, weak=True, headers=headers)
+    return _job_response(job, 200, headers, failures, notice, compiling, reached)
 
 
 @router.delete(
@@ -283,8 +278,10 @@ def _job_response(
     failures: Sequence[Failure] = (),
     notice: str | None = None,
     compiling: Compiling | None = None,
+    budget: schemas.BudgetView | None = None,
 ) -> Response:
-    content = job_view(job, failures=failures, notice=notice, compiling=compiling).model_dump_json()
+    view = job_view(job, failures=failures, notice=notice, compiling=compiling)
+    content = view.model_copy(update={"budget": budget}).model_dump_json()
     return Response(content, status, headers, "application/json")
 
 

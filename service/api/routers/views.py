@@ -3,7 +3,9 @@
 And one cell in motion, whose specification is a body: POST /v1/trajectories.
 """
 
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from inspect import cleandoc
 from itertools import groupby
@@ -25,9 +27,12 @@ from service.api.schemas import (
     json_body,
     problem_responses,
 )
-from service.errors import InvalidRequest
+from service.background import Asker
+from service.errors import Busy, InvalidRequest, NotComputed
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, DatasetFormat
+from service.jobs.on_demand import Pending
 from service.ledger.model import JobRecord
+from service.views import audit
 from service.views import plan as plans
 from service.views.registry import SPRINGS, VIEWS, admit, answer, motion, planned
 from service.views.selection import BASE_MEMORY, Stored
@@ -135,6 +140,20 @@ def _parts(
             if writing.find(job.id) == job:
                 writing.keep_answer(job, view.name, asked, kept, sentence)
     return kept
+
+
+def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
+    """What the audit of a job says; None if workers have not computed it within so many seconds."""
+    study, asked, client = dependencies.stored(service, job), audit.AuditQuery(), Asker(object())
+    over = threading.Timer(seconds, client.leave)
+    over.start()
+    while over.is_alive():
+        with suppress(Pending, Busy, NotComputed):
+            client.run(lambda: _parts(service, audit.VIEW, study, job, asked))
+            over.cancel()
+            return service.audit_of(job)
+        over.join(0.5)
+    return None
 
 
 def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]) -> list[Any]:

@@ -162,6 +162,25 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
 
 
+def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new") as page:
+        page.get_by_label("given as").nth(1).select_option("a range")
+        fields = {"gamma.num": 900, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 300}
+        for name, value in fields.items():
+            page.locator(f"[data-field='{name}']").fill(str(value))
+        page.get_by_text("What does a time buy?").click()
+        page.get_by_label("Time", exact=True).fill("12s")
+        page.get_by_role("button", name="Compute within it").click()
+        page.locator(".notice", has_text=re.compile("s left")).wait_for()
+        coarsest = page.url
+        page.locator(".notice", has_text=re.compile("How wrong|no audit")).wait_for()
+        assert page.url != coarsest
+        cells = page.locator(".amount").inner_text()
+        page.goto(coarsest)  # opened on purpose: it stays
+        page.get_by_text("Show the finest level of its time").click()
+        page.locator(".amount", has_text=cells).wait_for()
+
+
 #: Kinds of study as the form names them, what is typed into which field, and what is then submitted.
 STUDIES = (
     ("Sweep", {"gamma.num": "5"}, {"protocol": {"kind": "rest"}}),

@@ -1,7 +1,7 @@
 // The form for a new study of any kind. The service validates it and estimates its cost while it is edited.
 
 import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
-import { isHandledElsewhere, requestJson } from "../lib/api.js";
+import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
 import { AXES, axisValues } from "../lib/physics.js";
@@ -58,8 +58,11 @@ export class SweepForm {
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
-    this.plan = new Plan(() => this.#read(), (spec) => this.#replace(spec));
-    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => this.#submit(event), oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) });
+    this.plan = new Plan(() => this.#read(), (spec) => this.#replace(spec), (budget) => this.#submit({ budget }));
+    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => {
+      event.preventDefault();
+      this.#submit();
+    }, oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) });
     this.container.replaceChildren(
       h("p", { className: "preset" }, h("label", {}, "Study ", this.kind), h("label", {}, "Start from ", this.preset)),
       this.form,
@@ -194,11 +197,10 @@ export class SweepForm {
     if (this.form) this.button.disabled = !this.isLoaded || INVALID.has(error.status);
   }
 
-  async #submit(event) {
-    event.preventDefault();
+  async #submit(within = {}) {
     this.button.disabled = true;
     try {
-      const job = await requestJson("/v1/jobs", { method: "POST", body: this.#read() });
+      const job = await requestJson(`/v1/jobs?${query(within)}`, { method: "POST", body: this.#read() });
       announce("Submitted.");
       if (this.closed) return;
       replace(["new"], { from: job.id }); // the browser's back button returns to what was submitted

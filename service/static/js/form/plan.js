@@ -1,4 +1,5 @@
-// What a time buys: efforts and grids of the form's sweep, with the share of the plane that each would show wrong.
+// What a time buys: efforts and grids of the form's sweep, with the share of the plane that each would show wrong;
+// or its levels, as fine as fit into the time.
 
 import { partsOf, query, requestDataset } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
@@ -15,21 +16,22 @@ function seconds(text) {
   return value * SECONDS[unit];
 }
 
-/** Compares settings of the sweep that `read()` returns; `use(spec)` takes one of them. */
+/** Compares settings of the sweep that `read()` returns; `use(spec)` takes one of them, `compute(seconds)` its levels. */
 export class Plan {
-  constructor(read, use) {
-    [this.read, this.use] = [read, use];
+  constructor(read, use, compute) {
+    [this.read, this.use, this.compute] = [read, use, compute];
     this.budget = h("input", { type: "text", size: "6", placeholder: "5m", onkeydown: (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault(); // the form is not submitted
       this.#compare();
     } });
+    this.within = h("button", { type: "button", onclick: () => this.#computeWithin() }, "Compute within it");
     this.button = h("button", { type: "button", onclick: () => this.#compare() }, "Compare settings");
     this.problem = problemLine();
     this.table = h("div", { hidden: true });
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
-      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points."),
-      h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), this.button), this.problem.element, this.table);
+      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
+      h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), this.button, this.within), this.problem.element, this.table);
   }
 
   /** Drop a table that was of another specification. */
@@ -37,6 +39,15 @@ export class Plan {
     this.comparing?.abort();
     this.table.hidden = true;
     this.problem.show(null);
+  }
+
+  #computeWithin() {
+    this.problem.show(null);
+    try {
+      this.compute(seconds(this.budget.value || this.budget.placeholder));
+    } catch (error) {
+      this.problem.show(error);
+    }
   }
 
   async #compare() {

@@ -13,7 +13,7 @@ import { buildFrame, clearBar } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
-import { JobSummary, UNFINISHED, settling, titleOf } from "./progress.js";
+import { JobSummary, UNFINISHED, isGoing, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { __proto__: null, diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -90,7 +90,17 @@ export class JobView {
     if (isFirst) this.show();
     else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(job));
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
-    if (UNFINISHED.has(job.state)) this.#pollAfter(POLL_MS);
+    if (this.#follows(job)) return;
+    if (isGoing(job)) this.#pollAfter(POLL_MS);
+  }
+
+  /** While a budget goes on, the finest level that is done takes the place of this one. Returns whether it does. */
+  #follows({ budget }) {
+    const isAnswer = [null, this.id].includes(budget?.answer ?? null);
+    const follows = !isAnswer && (this.wasAnswer || !budget.over);
+    this.wasAnswer = isAnswer;
+    if (follows) location.replace(link(["job", budget.answer, ...currentAddress().path.slice(2)], currentQuery()));
+    return follows;
   }
 
   /** Replaces a poll that is due already. */

@@ -7,6 +7,8 @@ import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
+/** Whether a job, or the budget that it is a level of, goes on. */
+export const isGoing = ({ state, budget }) => UNFINISHED.has(state) || (budget ? !budget.over : false);
 export const RESUMABLE = new Set(["failed", "cancelled"]);
 const MAX_LISTED = 4; // values of an axis
 
@@ -36,8 +38,9 @@ export class JobSummary {
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
     this.amount.textContent = compiling ? compilation(compiling) : amount(state, progress);
-    this.notice.hidden = !job.notice;
-    this.notice.replaceChildren(...(job.notice ? notice(job) : []));
+    const notices = [...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : [])];
+    this.notice.hidden = !notices.length;
+    this.notice.replaceChildren(...notices);
     showActions(this.actions, job, this.on);
   }
 }
@@ -68,6 +71,14 @@ export function summary({ spec, choice }) {
 const notice = ({ notice: text, replaced_by: successor }) => [
   `${text[0].toUpperCase()}${text.slice(1)}. `, ...(successor ? [h("a", { href: link(["job", successor]) }, "Show the sweep that replaces it")] : []),
 ];
+
+/** How far the budget is that a sweep is a level of: what is computed for it, or what its audit says. */
+function level({ id, budget: { doing, computing, answer, seconds_left: left, over, error } }) {
+  const text = (error ?? doing).replace(/gamma|omega|xi/g, (axis) => SYMBOL[axis]);
+  if (!over) return [computing && computing !== id ? h("a", { href: link(["job", computing]) }, text) : text, `, ${duration(left)} left`];
+  if (answer && answer !== id) return [h("a", { href: link(["job", answer]) }, "Show the finest level of its time")];
+  return text.startsWith("no audit") ? [text] : [h("a", { href: link(["job", id, "details"]) }, "How wrong it can be")];
+}
 
 /** How many cells of a sweep were still settling, and what to do; nothing where none was. */
 export function settling({ id, progress, spec }) {

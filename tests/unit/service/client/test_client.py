@@ -173,6 +173,8 @@ def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(
     done = client.run(spec, budget=120.0, progress=False)
     assert done.state == "done"
     assert done.id == client.submit(spec).id
+    budget = client.job(done.id).view["budget"]
+    assert (budget["answer"], budget["over"], budget["computing"]) == (done.id, True, None)
     assert "of the cells" in done.audit(progress=False).attrs["sentence"]
     with pytest.raises(InvalidSpecification, match="budget: was over before the first level of"):
         client.run(spec | {"xi": 0.11}, budget=1e-6, progress=False)

@@ -1,0 +1,137 @@
+"""Sweeps within a time, at a service: a thread computes their levels as jobs and has the last one audited.
+
+Levels are plain jobs. When the service stops, a budget ends with those that are done; one that was not yet
+done continues as any job does.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, Final
+
+from service.budget import check, within
+from service.errors import Busy, RunFailed, ServiceError
+from service.jobs.manager import JobManager
+from service.ledger.ledger import Ledger
+from service.ledger.model import UNFINISHED, JobRecord, JobState
+from worker.spec.errors import SpecError
+from worker.sweep import SweepSpec
+
+#: Budgets that go on at a time, and those that are remembered.
+MOST, KEPT = 8, 64
+#: Seconds between two looks at a level.
+LOOK_SECONDS: Final = 0.05
+
+#: What the audit of a job says; None if it has not ended within so many seconds.
+Audit = Callable[[JobRecord, float], str | None]
+
+
+class Budgets:
+    """The budgets of a service. Its methods may be called from any thread."""
+
+    def __init__(self, manager: JobManager, ledger: Ledger, audit: Audit) -> None:
+        self.manager, self.ledger, self.audit = manager, ledger, audit
+        self.stopping = threading.Event()
+        self._lock = threading.Lock()
+        self._budgets: list[Budget] = []  # the last begun first
+
+    def begin(self, spec: Any, seconds: float, owner: str | None) -> JobRecord:
+        """The job of the first level; a budget of the same sweep that goes on is not begun again.
+
+        Raises SpecInvalid, Busy, and as `JobManager.submit`.
+        """
+        check(spec.protocol.kind, seconds)
+        self.manager.check(spec)
+        with self._lock:
+            going = [budget for budget in self._budgets if not budget.over]
+            budget = next((budget for budget in going if budget.spec == spec), None)
+            if budget is None:
+                if len(going) >= MOST:
+                    raise Busy(f"{MOST} budgets go on already, which is the limit")
+                budget = Budget(self, spec, seconds, owner)
+                self._budgets = [budget, *self._budgets][:KEPT]
+                threading.Thread(target=budget.run, name="budget", daemon=True).start()
+        return budget.first.result()
+
+    def of(self, job_id: str) -> "Budget | None":
+        """The last budget that a job is a level of."""
+        with self._lock:
+            return next((budget for budget in self._budgets if job_id in budget.levels), None)
+
+    def close(self) -> None:
+        """Begin no other level."""
+        self.stopping.set()
+
+
+class Budget:
+    """A sweep within a time, and how far it is. Its thread computes levels: a `service.budget.Runner`."""
+
+    def __init__(self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None) -> None:
+        self._budgets, self.spec, self._owner = budgets, spec, owner
+        self._seconds, self._ends = seconds, time.monotonic() + seconds
+        self.first: Future[JobRecord] = Future()
+        self.levels: tuple[str, ...] = ()  # their jobs
+        self.doing = ""  # in words
+        self.computing: str | None = None  # the job of the level that is computed
+        self.answer: str | None = None  # the job of the finest level that is done
+        self.error: str | None = None
+        self.over = False
+
+    @property
+    def seconds_left(self) -> int:
+        """Of its time."""
+        return 0 if self.over else max(round(self._ends - time.monotonic()), 0)
+
+    def run(self) -> None:
+        """Compute levels until the time is over."""
+        try:
+            within(self.spec, self._ends - time.monotonic(), self, self._show)
+        except Exception as error:  # noqa: BLE001 - the request, or who looks at the first level, gets it
+            self.error = str(error)
+            if not self.first.done():
+                self.first.set_exception(error)
+        self.computing, self.over = None, True
+
+    def _show(self, text: str, left: float) -> None:
+        self.doing = text
+
+    def seconds(self, spec: SweepSpec) -> float:
+        cost = self._budgets.manager.cost(spec)
+        return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
+
+    def compute(self, spec: SweepSpec, seconds: float) -> bool:
+        deadline = time.monotonic() + seconds
+        try:
+            job, accepted = self._budgets.manager.submit(spec, owner=self._owner)
+        except (SpecError, ServiceError):  # a full queue, a limit of the service
+            if self.answer is None:
+                raise
+            return False
+        self.levels, self.computing = (*self.levels, job.id), job.id
+        if not self.first.done():
+            self.first.set_result(job)
+        record = self._ended(job, deadline)
+        if record is not None and record.state is JobState.DONE:
+            self.answer = job.id
+            return True
+        if record is None and accepted and not self._budgets.stopping.is_set():
+            self._budgets.manager.cancel(job.id)
+        if record is not None and self.answer is None:
+            raise RunFailed(record.error or "the first level was cancelled")
+        return False
+
+    def audit(self, spec: SweepSpec, seconds: float) -> str | None:
+        job = self._budgets.ledger.find(self.answer or "")
+        return None if job is None else self._budgets.audit(job, seconds)
+
+    def _ended(self, job: JobRecord, deadline: float) -> JobRecord | None:
+        """A job that has ended; None at the deadline, and if the service stops."""
+        found: JobRecord | None = job
+        while found is not None and found.state in UNFINISHED:
+            if time.monotonic() > deadline or self._budgets.stopping.wait(LOOK_SECONDS):
+                return None
+            found = self._budgets.ledger.find(job.id)
+        if found is None:
+            raise RunFailed("a level was deleted")
+        return found
