@@ -383,9 +383,9 @@ def _accept(
             return run
     repeats = _repeats(cycle, total, flights, part)
     growth = _growth(cell, start, periods, total, window, attempt)
-    if not (modulus < 1.0 - MARGIN and growth < math.inf):
-        return run
     error = repeats + FLOOR * max(1.0, growth / GROWTH) + attempt.error[0]
+    if not (modulus < 1.0 - MARGIN and error < math.inf):  # a touch whose rate is zero has no bound
+        return run
     line.flight_error[i] = error / (1.0 - modulus)
     line.multiplier[i], line.multiplier_angle[i] = modulus, angle
     line.outcome[i], line.periods[i] = PERIODIC, part

@@ -11,7 +11,7 @@ from typing import NamedTuple
 class Compilation(NamedTuple):
     """An entry that this process compiles, or that it waits for while another process compiles it."""
 
-    kernel: str  # the function and the contact model, such as "walk of rigid"
+    kernel: str  # its contact model, such as "rigid kernel"
     began: float  # time.time()
 
 

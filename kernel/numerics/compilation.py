@@ -339,9 +339,8 @@ class _EntryCache:
         self._short = function.__name__.strip("_")
 
     def described(self, arguments: tuple[Any, ...]) -> str:
-        """The function and the contact model that its first argument belongs to."""
-        model = _module(arguments).rpartition(".")[2]
-        return f"{self._short} of {model}" if model else self._short
+        """The contact model that its first argument belongs to, or else the function."""
+        return f"{_module(arguments).rpartition('.')[2] or self._short} kernel"
 
     def load_overload(self, sig: Any, target: Any) -> Any:
         """The compiled function, or None."""

@@ -149,7 +149,7 @@ class CompilingView(BaseModel):
 
     model_config = ConfigDict(from_attributes=True)
 
-    kernel: str = Field(description="its function and the contact model")
+    kernel: str = Field(description="its contact model")
     seconds: float = Field(description="so far")
 
 

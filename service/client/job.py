@@ -260,11 +260,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         if Path(path).suffix != ".html":
             raise BounceError(f"{path}: the name of a page ends in .html")
         points = "" if data is None else element(data)
-        target = self.export(path)
-        if points:
-            with target.open("a", encoding="utf-8") as page:
-                page.write(points)
-        return target
+        self._transport.download(self._path("export"), {"format": "html"}, Path(path), points.encode())
+        return Path(path)
 
     def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
         """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.

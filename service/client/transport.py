@@ -178,8 +178,8 @@ class Transport:
                 if line.startswith(b"data: "):
                     yield parse_object(line.removeprefix(b"data: "), response)
 
-    def download(self, path: str, query: Query, target: Path) -> None:
-        """GET into the file `target`, which is replaced once the download is complete.
+    def download(self, path: str, query: Query, target: Path, end: bytes = b"") -> None:
+        """GET into the file `target`, which is replaced once the download and `end` after it are complete.
 
         Waits for a busy service like `get`.
         """
@@ -192,6 +192,7 @@ class Transport:
             with complete_file(target) as file:
                 for block in response.iter_bytes():
                     file.write(block)
+                file.write(end)
 
     @contextmanager
     def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:

@@ -74,7 +74,7 @@ class ClusterState:
 class Compiling:
     """A kernel that a worker compiles before the first chunk of a job, or loads."""
 
-    kernel: str  # its function and the contact model, as "walk of rigid"
+    kernel: str  # its contact model, as "rigid kernel"
     seconds: float  # so far
 
 
