@@ -30,7 +30,7 @@ MOST_BYTES: Final = 6_000_000
 #: Lines, flights of a line and of all, cells of a map: of more, every n-th is taken.
 MOST_LINES, MOST_FLIGHTS, MOST_IN_ALL, MOST_CELLS = 400, 60_000, 4_000_000, 250_000
 
-_IMPORT: Final = re.compile(r'(from |import )"(\.{1,2}/[^"]+)"(?: with \{[^}]*\})?')
+_IMPORT: Final = re.compile(r'(from |import |import\()"(\.{1,2}/[^"]+)"(?: with \{[^}]*\})?')
 _CHECKSUM: Final = re.compile('data-sha256="([0-9a-f]+)"')
 _OUTSIDE: Final = re.compile(r"\s*<(?:link|script)[^>]*>(?:</script>)?")
 

@@ -1,52 +1,60 @@
 // Shows the page that belongs to the address.
 
-import { SweepForm } from "./form/form.js";
 import { dropped } from "./form/pasted.js";
 import { shared, takeToken } from "./lib/api.js";
 import { currentAddress, discardPending, navigate, replace } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
-import { Compare } from "./explore/compare.js";
-import { Explore } from "./explore/spring.js";
-import { JobView } from "./views/job.js";
-import { SweepList } from "./start/sweeps.js";
 
 // A page is built with its root element and the address. It has refresh(redraw): load again; close(); and, where the
 // address may change to another state of the same page, show(). Without the names of every object, such as constructor.
-const PAGES = { __proto__: null, "": SweepList, new: SweepForm, job: JobView, compare: Compare, explore: Explore };
+const PAGES = {
+  __proto__: null,
+  "": async () => (await import("./start/sweeps.js")).SweepList,
+  new: async () => (await import("./form/form.js")).SweepForm,
+  job: async () => (await import("./views/job.js")).JobView,
+  compare: async () => (await import("./explore/compare.js")).Compare,
+  explore: async () => (await import("./explore/spring.js")).Explore,
+};
+const REST_MS = 2000; // after the first page the others are loaded
 const root = document.getElementById("view");
-let page = null;
+let page = null; // while it is loaded
 let shown = null; // which page
 
-function showAddress() {
+async function showAddress() {
   discardPending();
   if (shared && currentAddress().path[1] !== shared.job.id) replace(["job", shared.job.id]);
   const address = currentAddress();
   const [name = "", id] = address.path;
   const wanted = [name, name === "job" && id, address.query.jobs].join();
   if (wanted === shown) {
-    page.show?.();
+    page?.show?.();
     return;
   }
   page?.close();
-  page = new ((name !== "job" || id ? PAGES[name] : null) ?? NotFound)(root, address);
+  const isFirst = shown === null;
+  [page, shown] = [null, wanted];
+  const load = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
+  const Page = await load().catch(() => NotFound); // the service is away
+  if (wanted !== shown) return; // left meanwhile
+  page = new Page(root, currentAddress());
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  if (shown !== null) {
+  if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load()), REST_MS); // while the service answers
+  else {
     scrollTo(0, 0);
     document.querySelector("h1")?.focus({ preventScroll: true });
   }
-  shown = wanted;
 }
 
 /** Of several views, the one that is dropped on, or else the first. */
 function takeMeasured(file, target) {
-  const views = [page.view, ...(page.views ?? [])].filter((view) => view?.measured);
+  const views = [page?.view, ...(page?.views ?? [])].filter((view) => view?.measured);
   const view = views.find(({ plot }) => plot.element.contains(target)) ?? views[0];
   if (view) return view.measured.take(file);
-  const problem = page.problem ?? page.view?.problem;
+  const problem = page?.problem ?? page?.view?.problem;
   problem?.show(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
   problem?.element.scrollIntoView({ block: "center" });
 }
@@ -78,10 +86,10 @@ addEventListener("drop", (event) => {
   if (/\.csv$/i.test(file.name)) return takeMeasured(file, event.target);
   if (shared) return;
   dropped.file = file;
-  if (page.pasted) page.pasted.takeDropped();
+  if (page?.pasted) page.pasted.takeDropped();
   else navigate(["new"]);
 });
-document.addEventListener("visibilitychange", () => document.hidden || page.refresh(false)); // sweeps may have changed meanwhile
-watchConnection(() => page.refresh());
+document.addEventListener("visibilitychange", () => document.hidden || page?.refresh(false)); // sweeps may have changed meanwhile
+watchConnection(() => page?.refresh());
 takeToken();
 showAddress();
