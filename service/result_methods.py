@@ -392,9 +392,10 @@ class SpringMethods(Methods):
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
-        event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
-        `along` omega or xi pass through the cycles that the contact has at `gamma`. With `doubled`, up to 12
-        branches of twice the period, too, and `flight_time` has all flights that count, the longest first.
+        event `stick-vanishes`, `rest`, `below-surface` or `unknown-change`, or at `cut-off`, beyond the points
+        asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`. With
+        `doubled`, up to 12 branches of twice the period, too, and `flight_time` has all flights that count, the
+        longest first.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per

@@ -5,16 +5,15 @@ goes through once from the same state: Newton's method finds its own cycle besid
 one mode lie on more than one branch: beside those that stick, families of a few hops that never do.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.cycles.cycles import Point, confirmed, cycle_from
+from kernel.cycles.cycles import Point, confirmed, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, branch, events_of, join_events
-from kernel.cycles.follow import LARGEST, POINTS, RANGE, Event, ahead, follow
-from kernel.cycles.segments import START
+from kernel.cycles.follow import POINTS, RANGE, End, Event, follow
 from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
@@ -24,10 +23,14 @@ _SHORT_FLIGHTS: Final = (0.5, 0.25, 1.0, 0.1, 1.5)
 #: Parts of each range of Gamma with a stable cycle in closed form, and the narrowest range that counts.
 _SHARES: Final = (0.5, 0.3, 0.7, 0.15, 0.85)
 _NARROWEST: Final = 1e-3
+#: Rounds after which a contact has come close to a cycle that attracts.
+_ROUNDS: Final = 100
 #: Cycles with shorter flights only, rad, are too close to rest.
 _REST: Final = 0.05
-#: Two cycles whose starts or durations differ by less are one.
+#: A cycle whose durations repeat this closely, rad, is one of fewer periods.
 _SAME: Final = 1e-6
+#: Two cycles at one parameter are one if their flights are this close, rad; numbers of hops differ by less.
+_ALIKE: Final = 1e-5
 
 
 class Followed(NamedTuple):
@@ -70,10 +73,30 @@ def branches_at(
 def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int = POINTS) -> list[Followed]:
     """The branches through those of the cycles whose parameter lies in `span`, each once."""
     followed: list[Followed] = []
+    outside: list[Point] = []
+
+    def joins(point: Point) -> bool:
+        """Whether a branch that was cut off goes through a cycle."""
+        cut = (line for line in followed if any(event.kind is End.CUT_OFF for event in line.events))
+        return any(lies_on(point, line) for line in cut)
+
     for seed in cycles:
-        if span[0] <= seed.parameter <= span[1] and not any(lies_on(seed, each) for each in followed):
-            followed.append(both_ways(seed, span, points))
+        if not span[0] <= seed.parameter <= span[1]:
+            outside.append(seed)
+        elif not any(lies_on(seed, line) for line in followed):
+            followed.append(both_ways(seed, span, points, joins))
+    for seed in outside if not followed else ():
+        inside = _from_outside(seed, span, points)
+        if inside is not None:
+            return [both_ways(inside, span, points)]
     return followed
+
+
+def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Point | None:
+    """The first cycle within the span on the branch through a cycle outside of it."""
+    low, high = sorted((seed.parameter, span[0] if seed.parameter < span[0] else span[1]))
+    line, _ = follow(seed, low - seed.parameter or high - seed.parameter, points=points, span=(low, high))
+    return line[-1] if span[0] <= line[-1].parameter <= span[1] else None
 
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:
@@ -86,12 +109,15 @@ def passing(line: Followed, parameter: float) -> Iterator[Point]:
                 yield point
 
 
-def both_ways(seed: Point, span: tuple[float, float] = RANGE, points: int = POINTS) -> Followed:
-    """The whole branch through a cycle, as far as it is followed."""
-    up, after = follow(seed, 1.0, points=points, span=span)
+def both_ways(
+    seed: Point, span: tuple[float, float] = RANGE, points: int = POINTS,
+    until: Callable[[Point], bool] = lambda _: False,
+) -> Followed:  # fmt: skip
+    """The whole branch through a cycle, as far as it is followed, each way `until` a cycle."""
+    up, after = follow(seed, 1.0, points=points, span=span, until=until)
     if len(up) > 1 and up[-1] is up[0]:
         return Followed(up, after)
-    down, before = follow(seed, -1.0, points=points, span=span)
+    down, before = follow(seed, -1.0, points=points, span=span, until=until)
     return Followed([*down[:0:-1], *up], [*before[::-1], *after])
 
 
@@ -105,18 +131,24 @@ def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
                 yield point
                 break
     for low, high in stable_ranges(omega, xi, periods):
-        for share in _SHARES if high - low > _NARROWEST else ():
-            cell = Cell(low + share * (high - low), omega, xi)
-            point = beside(plate, start_on_stable_cycle(cell, periods), periods)
-            if point is not None:
-                yield point
+        cells = [Cell(low + x * (high - low), omega, xi) for x in _SHARES if high - low > _NARROWEST]
+        starts = [start_on_stable_cycle(cell, periods) for cell in cells]
+        points = [point for start in starts if (point := beside(plate, start, periods)) is not None]
+        # its own cycles may be far away, and yet attract
+        yield from points or filter(None, (beside(plate, start, periods, _ROUNDS) for start in starts))
 
 
-def beside(plate: Any, start: CycleStart | None, periods: int) -> Point | None:
-    """The contact's own cycle, if it has one there and not one of fewer periods gone through again."""
+def beside(plate: Any, start: CycleStart | None, periods: int, rounds: int = 0) -> Point | None:
+    """The contact's own cycle, if it has one there and not one of fewer periods gone through again.
+
+    rounds: that the contact goes on from the start first.
+    """
     if start is None:
         return None
-    point = cycle_from(plate, start.start.cell, periods, start.start.state)
+    cell, state = start.start.cell, start.start.state
+    if rounds > 0:
+        state = state_after(plate, cell, state, rounds * periods)
+    point = cycle_from(plate, cell, periods, state)
     if point is None or max(point.flights) < _REST or repeats(point):
         return None
     return point
@@ -134,20 +166,24 @@ def repeats(point: Point) -> bool:
 
 
 def lies_on(point: Point, line: Followed) -> bool:
-    """Whether a branch passes through a cycle."""
-
-    def away(other: Point) -> float:
-        return float(np.linalg.norm(other.x[:START] - point.x[:START]))
-
-    alike = [other for other in line.points if other.letters == point.letters]
-    near = min(alike or line.points, key=away)
-    if away(near) > 2.0 * LARGEST:
+    """Whether a branch passes through a cycle, wherever that begins."""
+    if line.points[0].cycles.periods != point.cycles.periods:
         return False
-    if alike:
-        other = ahead(near, float(near.tangent @ (point.x - near.x)))
-    else:
-        other = near.cycles.at(near.x, point.parameter)
-    return other is not None and away(other) < _SAME
+    away = np.array([other.parameter for other in line.points]) - point.parameter
+    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
+        a, b = line.points[i : i + 2]
+        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
+        near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
+        others = (guess.cycles.at(x, point.parameter) for guess, x in near)
+        if any(other is not None and _alike(other, point) for other in others):
+            return True
+    return False
+
+
+def _alike(a: Point, b: Point) -> bool:
+    """Whether the flights of two cycles are the same, but for the shortest of more hops."""
+    pairs = zip(*(sorted(point.flights, reverse=True) for point in (a, b)), strict=False)
+    return all(abs(x - y) < _ALIKE for x, y in pairs)
 
 
 def record(points: list[Point], micro_flight: float) -> Branch:

@@ -17,7 +17,7 @@ from kernel.stopping import check
 #: Newton steps at most, and the last step's size, relative.
 _NEWTON: Final = 14
 _CONVERGED: Final = 1e-12
-#: A step of Newton's method above this in any unknown has left the branch.
+#: A step of Newton's method above this, relative, in any unknown has left the branch.
 _AWAY: Final = 2.0
 #: Newton's method keeps c + i s on a line; so often turned to the new phase, that keeps Gamma.
 _SAME_GAMMA: Final = 5
@@ -210,11 +210,11 @@ class Cycles(NamedTuple):
             step, tangent = newton_step(len(self.letters), cycle.slope, cycle.value, direction, distance)
             if done:
                 return Point(self, x, cycle, tangent / math.sqrt(tangent @ tangent))
-            size = np.abs(step).max()
-            if not size < _AWAY:
+            size, scale = np.abs(step).max(), max(1.0, np.abs(x).max())
+            if not size < _AWAY * scale:
                 return None
             x = x - step
-            done = size < converged * max(1.0, np.abs(x).max())
+            done = size < converged * scale
         return None
 
     def at(self, x: Floats, parameter: float) -> Point | None:
@@ -376,6 +376,15 @@ def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, F
         return None
     first = max(landings, key=lambda i: times[i]) + 1
     return _guess(Cycles(plate, omega, xi, "", periods), gamma, phase, kernel, first)
+
+
+def state_after(plate: Any, cell: Cell, state: Floats, periods: int) -> Floats:
+    """The state (6,) about so many plate periods after another, as STATE_FIELDS."""
+    gamma, omega, xi = map(float, cell)
+    phase, _, *rest = map(float, state)
+    most = MOST * periods
+    _, times, states = simulated(plate, gamma, omega, xi, phase, State(*rest), TWO_PI * periods, most)
+    return np.array([(phase + times.sum()) % TWO_PI, 0.0, *states[-1]])
 
 
 def _guess(

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from kernel.cycles.changes import Margin, next_cycle, over_small_segment
-from kernel.cycles.cycles import Broken, Point, confirmed
+from kernel.cycles.cycles import LANDINGS, Broken, Point, confirmed
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
@@ -41,6 +41,10 @@ _AT: Final = 1e-4
 #: second where the branch does not get on.
 _LAST_STICK, _LITTLE_STICK = 1e-6, 1e-4
 
+#: A segment so short, rad, vanishes; neighbours whose multipliers differ by this part differ.
+_MINUTE, _JUMP = 1e-5, 1e-2
+#: Where a flight that ends a chatter touches so soon, rad, its hops accumulate.
+_NEXT_HOP: Final = 2e-3
 #: A branch whose longest flight is shorter, rad, ends at rest.
 _REST: Final = 1e-2
 
@@ -57,6 +61,7 @@ class End(StrEnum):
 
     STICK_VANISHES = "stick-vanishes"  # the mass ceases to stick; beyond, numbers of hops accumulate
     REST = "rest"  # its flights vanish
+    BELOW_SURFACE = "below-surface"  # its only flight stays below the surface, which is no cycle of bounces
     UNKNOWN_CHANGE = "unknown-change"  # its segments change, and no cycle with others is found
     CUT_OFF = "cut-off"  # it goes on, beyond the points or signatures that were asked for
 
@@ -105,7 +110,7 @@ def follow(
         if end is None and stretch.broken is not None:
             after, change = _change(stretch)
             events += change
-            end = End.UNKNOWN_CHANGE if after is None else None
+            end = _end_at(last, stretch.broken) if after is None else None
         closed = last is origin and len(line) > 1
         if end is None and len(line) >= points and not (leaves(last) or closed):
             end = End.CUT_OFF
@@ -122,6 +127,15 @@ def _end(last: Point) -> End | None:
     if max(last.flights) < _REST:
         return End.REST
     return End.STICK_VANISHES if _shortest_stick(last) < _LITTLE_STICK else None
+
+
+def _end_at(last: Point, broken: Broken) -> End:
+    """The end where the cycle has other segments that are not found."""
+    letter = last.letters[broken.segment]
+    if broken.reason == "touches" and letter == "h" and broken.time < _NEXT_HOP:
+        return End.STICK_VANISHES
+    alone = sum(each in LANDINGS for each in last.letters) == 1
+    return End.BELOW_SURFACE if broken.reason == "lands softly" and alone else End.UNKNOWN_CHANGE
 
 
 def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Point) -> _Stretch:
@@ -213,7 +227,9 @@ def _reach(a: Point, b: Point) -> float:
     """How far b lies along the tangent at a; about, if their hops differ in number."""
     if len(a.x) == len(b.x):
         return float(a.tangent @ (b.x - a.x))
-    return 1.2 * float(np.linalg.norm(a.x[:START] - b.x[:START])) + 1e-6
+    start = 1.2 * float(np.linalg.norm(a.x[:START] - b.x[:START])) + 1e-6
+    rise, step = abs(a.rising), abs(b.parameter - a.parameter)
+    return max(start, min(step / rise, LARGEST) if rise > 0.0 else LARGEST)
 
 
 def ahead(node: Point, reach: float) -> Point | None:
@@ -280,8 +296,22 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
             return first, [Event(kind, point, turns, first.letters)]
     if "C" not in last.letters:
         return None, []
+    shortest = int(np.argmin(last.times))
+    if last.times[shortest] < _MINUTE:
+        after = next_cycle(Margin(Broken("vanishes", shortest), last), last)
+        if after is not None:
+            kind, first = after
+            turns = last.rising * first.rising < 0.0
+            event = Event(kind, last, turns, first.letters)
+            return first, [event] if _jump(last, first) else []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
     return over_small_segment(last, before), []
+
+
+def _jump(a: Point, b: Point) -> bool:
+    """Whether the leading multipliers of two neighbours differ."""
+    one, other = a.multipliers()[0], b.multipliers()[0]
+    return bool(min(abs(one - other), abs(one - other.conjugate())) > _JUMP * (1.0 + abs(one)))
 
 
 def _shortest_stick(point: Point) -> float:

@@ -348,9 +348,10 @@ def compute_orbits(
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
-    event `stick-vanishes`, `rest` or `unknown-change`, or at `cut-off`, beyond the points asked for. Branches
-    `along` omega or xi pass through the cycles that the contact has at `gamma`. With `doubled`, up to 12
-    branches of twice the period, too, and `flight_time` has all flights that count, the longest first.
+    event `stick-vanishes`, `rest`, `below-surface` or `unknown-change`, or at `cut-off`, beyond the points
+    asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`. With
+    `doubled`, up to 12 branches of twice the period, too, and `flight_time` has all flights that count, the
+    longest first.
     """
     plate = contact(query)
     parts = parts or tuple(_branch(*grid) for grid in _grids(query))

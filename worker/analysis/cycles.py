@@ -13,6 +13,7 @@ from kernel.cycles.any_contact import (
     branches,
     branches_at,
     event_record,
+    lies_on,
     passing,
     record,
 )
@@ -46,8 +47,6 @@ MAX_PERIODS: Final = 16
 LOWEST: Final = 3
 POINTS: Final = 400
 
-#: Two cycles at one Gamma are one if their flights are this close, rad; numbers of hops differ by less.
-_SAME: Final = 1e-5
 #: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
 _EVEN: Final = 1e-3
 _HOP: Final = 1e-2
@@ -114,7 +113,7 @@ def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> l
     new: list[Followed] = []
     for flip in (event.point for line in lines for event in line.events if event.kind is Kind.FLIP):
         first = doubled(flip) if len(new) < MAX_BRANCHES else None
-        if first is not None and not any(_lies_on(first, line) for line in lines + new):
+        if first is not None and not any(lies_on(first, line) for line in lines + new):
             new.append(Followed(*_up_to_shorter(*follow(first, 0.0, points=points, span=span))))
     return new
 
@@ -153,7 +152,7 @@ def follow_cells(
         seed = settled.cycle(spec)
         if seed is None:
             skipped.append(settled.skipped("no cycle was found beside its state"))
-        elif any(_lies_on(seed, line) for line in lines):
+        elif any(lies_on(seed, line) for line in lines):
             continue
         elif len(lines) == MAX_BRANCHES:
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
@@ -259,27 +258,6 @@ def _is_doubled(point: Point) -> bool:
     half, odd = divmod(len(flights), 2)
     halves = zip(flights[:half], flights[half:], strict=False)
     return not odd and point.cycles.periods % 2 == 0 and all(abs(a - b) < _EVEN for a, b in halves)
-
-
-def _lies_on(point: Point, line: Followed) -> bool:
-    """Whether a branch passes through a cycle, wherever that begins."""
-    if line.points[0].cycles.periods != point.cycles.periods:
-        return False
-    away = np.array([other.parameter for other in line.points]) - point.parameter
-    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
-        a, b = line.points[i : i + 2]
-        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
-        near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
-        others = (guess.cycles.at(x, point.parameter) for guess, x in near)
-        if any(other is not None and _alike(other, point) for other in others):
-            return True
-    return False
-
-
-def _alike(a: Point, b: Point) -> bool:
-    """Whether the flights of two cycles are the same, but for the shortest of more hops."""
-    pairs = zip(*(sorted(point.flights, reverse=True) for point in (a, b)), strict=False)
-    return all(abs(x - y) < _SAME for x, y in pairs)
 
 
 def _longest_first(points: list[Point], micro_flight: float) -> Floats:
