@@ -419,6 +419,9 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
         vmin=-0.5,
         vmax=len(classes) - 0.5,
     )
+    for name, axis in (("x", "gamma"), ("y", "omega")):
+        if _is_geometric(modes[axis].values):
+            _make_logarithmic(ax, name)
     handles = _entries(cells, classes)
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
@@ -471,9 +474,11 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
 
 
 def edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ends of the cells around increasing values."""
+    """Ends of the cells around increasing values; in equal ratios where these are."""
     if len(values) == 1:
         return np.array([values[0] - 0.5, values[0] + 0.5])
+    if _is_geometric(values):
+        return np.exp(edges(np.log(values)))
     middle = 0.5 * (values[1:] + values[:-1])
     return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
 
