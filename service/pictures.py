@@ -174,7 +174,7 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
     if len(values) > 1:
         axes.set_xlim(float(values[0]), float(values[-1]))
     if _is_geometric(values):
-        axes.set_xscale("log")
+        _make_logarithmic(axes, "x")
     else:
         axes.xaxis.set_minor_locator(AutoMinorLocator())
     axes.yaxis.set_major_locator(MaxNLocator(8, steps=[*ROUND, 10.0]))
@@ -184,21 +184,24 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
 
 def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
     """Make the axes that the attribute `log` names logarithmic, over what is above zero, others linear."""
+    for name in "xy" if "log" in result.attrs else "":
+        if name in result.attrs["log"]:
+            _make_logarithmic(axes, name)
+        else:
+            getattr(axes, f"set_{name}scale")("linear")
+
+
+def _make_logarithmic(axes: "Axes", name: str) -> None:
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-    for name in "xy" if "log" in result.attrs else "":
-        low, high = getattr(axes, f"get_{name}lim")()
-        if name not in result.attrs["log"]:
-            getattr(axes, f"set_{name}scale")("linear")
-            continue
-        low = low if low > 0.0 else high / LOG_RANGE
-        getattr(axes, f"set_{name}lim")(low, high)
-        getattr(axes, f"set_{name}scale")("log")
-        axis = getattr(axes, f"{name}axis")
-        is_long = high > LINEAR_RANGE * low
-        axis.set_major_locator(LogLocator(subs=ROUND) if is_long else MaxNLocator(8, steps=[*ROUND, 10.0]))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
+    low, high = getattr(axes, f"get_{name}lim")()
+    low = low if low > 0.0 else high / LOG_RANGE
+    getattr(axes, f"set_{name}lim")(low, high)
+    getattr(axes, f"set_{name}scale")("log")
+    axis, is_long = getattr(axes, f"{name}axis"), high > LINEAR_RANGE * low
+    axis.set_major_locator(LogLocator(subs=ROUND) if is_long else MaxNLocator(8, steps=[*ROUND, 10.0]))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _is_geometric(values: NDArray[np.float64]) -> bool:
@@ -416,6 +419,9 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
         vmin=-0.5,
         vmax=len(classes) - 0.5,
     )
+    for name, axis in (("x", "gamma"), ("y", "omega")):
+        if _is_geometric(modes[axis].values):
+            _make_logarithmic(ax, name)
     handles = _entries(cells, classes)
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
@@ -428,7 +434,9 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     ax.set_ylabel(AXES["omega"])
     if modes.sizes["omega"] == 1:
         ax.set_yticks(modes.omega.values)
-    ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}")
+    way = str(modes.direction.values) if "direction" in modes else "rest"
+    ramped = "" if way == "rest" else f", {_WAYS[way]}"
+    ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}{ramped}")
 
 
 def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, **options: Any) -> None:
@@ -442,20 +450,22 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
     omega, predicted = thresholds.omega.values, thresholds.predicted_down.values
     causes = thresholds.cause.values if "cause" in thresholds else np.full(len(omega), "")
     searched = np.array([str(cause).endswith(", searched") for cause in causes])
-    ax.plot(omega, thresholds.analytic.values, "--", color=LINES["threshold"], linewidth=1.0, label="Eq. 25")
-    down: Any = {"color": LINES["branch"], "linewidth": 1.4, "label": "closed form, down"}
-    ax.plot(omega, np.where(searched, np.nan, predicted), "-", **down)
-    if searched.any():
-        down |= {"fillstyle": "none", "markersize": 5, "label": "searched, down"}
-        ax.plot(omega[searched], predicted[searched], "D", **down)
+    dash, dot = ("_", "o") if len(omega) == 1 else ("", "")  # one point has no line
+    for form, color, label, values, size in (
+        (f"{dash}--", "threshold", "Eq. 25", thresholds.analytic.values, 12),
+        (f"{dot}-", "branch", "closed form, down", np.where(searched, np.nan, predicted), 4),
+        ("D", "branch", "searched, down", np.where(searched, predicted, np.nan), 5),
+        ("^", "up", "computed, up", thresholds.up.values, 4),
+        ("v", "down", "computed, down", thresholds.down.values, 4),
+    ):
+        if np.isfinite(values).any():
+            width, fill = (1.0 if "--" in form else 1.4), ("none" if form == "D" else "full")
+            style: Any = {"linewidth": width, "markersize": size, "fillstyle": fill}
+            ax.plot(omega, values, form, color=LINES[color], label=label, **style)
     for status in ("unresolved", "not searched"):
         number = int((causes == status).sum())
         if number:
             ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
-    for name, marker in (("up", "^"), ("down", "v")):
-        values = thresholds[name].values
-        if np.isfinite(values).any():
-            ax.plot(omega, values, marker, markersize=4, color=LINES[name], label=f"computed, {name}")
     ax.set_xlabel(AXES["omega"])
     ax.set_ylabel(r"threshold $\Gamma$")
     ax.set_ylim(thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
@@ -464,9 +474,11 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
 
 
 def edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ends of the cells around increasing values."""
+    """Ends of the cells around increasing values; in equal ratios where these are."""
     if len(values) == 1:
         return np.array([values[0] - 0.5, values[0] + 0.5])
+    if _is_geometric(values):
+        return np.exp(edges(np.log(values)))
     middle = 0.5 * (values[1:] + values[:-1])
     return np.concatenate([[2.0 * values[0] - middle[0]], middle, [2.0 * values[-1] - middle[-1]]])
 

@@ -132,7 +132,9 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
 def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
     """How the cells were computed and which of them are shown."""
     attrs, outcome = result.attrs, result.variables["outcome"].values
-    start = "from rest" if spec.ramp_axis is None else f"ramped along {spec.ramp_axis}"
+    [way, *other] = np.atleast_1d(result.direction.values)
+    ramped = "ramped" if other else f"ramped {way}"
+    start = "from rest" if spec.ramp_axis is None else f"{ramped} along {spec.ramp_axis}"
     flights = f", flights above {attrs['min_flight']:g} rad" if attrs["min_flight"] else ""
     thinned = f", 1 cell in {attrs['every']:,}" if attrs["every"] > 1 else ""
     lost = int(np.count_nonzero(np.isin(outcome, (Outcome.UNRESOLVED, Outcome.DIVERGED))))
@@ -152,11 +154,13 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Flight times along the axis. The picture says how many cells are missing."""
     axes = figure.subplots()
     draw_diagram(axes, result)
-    low, high = axes.get_xlim()
-    room = 0.002 * dot_of(result.sizes[result.attrs["along"]]) * (high - low)  # for half a dot at each end
-    axes.set_xlim(low - room if room < low else low, high + room)
-    draw_strips(axes, result)
     set_scales(axes, result)
+    scale = axes.xaxis.get_transform()
+    low, high = scale.transform(axes.get_xlim())
+    room = 0.002 * dot_of(result.sizes[result.attrs["along"]]) * (high - low)  # for half a dot at each end
+    left, right = scale.inverted().transform([low - room, high + room])
+    axes.set_xlim(left if left > 0.0 else None, right)
+    draw_strips(axes, result)
     if "caption" in result.attrs:
         draw_caption(axes, result)
     if not result.attrs["complete"]:

@@ -116,7 +116,8 @@ def check(
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     if format == "html" and not isinstance(spec, SweepSpec):
-        raise InvalidRequest.of("format", f"html is for sweeps; this study is of kind {spec.protocol.kind}")
+        rule = f"has no page, which shows a sweep: the protocol of this job is {spec.protocol.kind}"
+        raise InvalidRequest.of("job_id", rule)
     if layout == "flights" and format != "parquet":
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
     if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):

@@ -262,8 +262,6 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
         draw_modes(axes, way)
         set_scales(axes, way)
-        if len(ways) > 1:
-            axes.set_title(f"{axes.get_title()}, {way.direction.item()}")
 
 
 VIEW: Final = View(

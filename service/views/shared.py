@@ -111,8 +111,8 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
     while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
         lines, step = lines[::2], 2 * step
     thinned = [
-        f"1 of {step} lines" if step > 1 else "",
-        f"1 of {every} cells of a line" if every > 1 else "",
+        f"1 line in {step}" if step > 1 else "",
+        f"1 cell in {every} of a line" if every > 1 else "",
     ]
     said = " and ".join(filter(None, thinned))
     return lines, f"Diagrams: {said}" if said else ""
@@ -142,7 +142,9 @@ def _maps(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
 
 
 def _thresholds(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
-    """The thresholds of every xi, as on the grid."""
+    """The thresholds of every xi, as on the grid; none of a ramp along another axis than gamma."""
+    if study.spec.ramp_axis not in (None, "gamma"):
+        return []
     values = study.spec.axis_values("xi")[:MOST_LINES]
     queries = [(float(xi), threshold.ThresholdQuery(xi=float(xi), predict="none")) for xi in values]
     return [_answer(threshold.VIEW, study, threshold.compute(study, query), xi=xi) for xi, query in queries]

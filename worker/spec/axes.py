@@ -139,7 +139,7 @@ class Range(Strict):
         if self.num > 1 and self.start == self.stop:
             raise BrokenRuleError("num", "must be 1 where start equals stop")
         if self.spacing == "log" and self.start <= 0:
-            rule = f"must be above 0 for spacing 'log', not {self.start!r}; spacing 'linear' may start there"
+            rule = f"must be above 0 for spacing 'log', not {describe(self.start)}; 'linear' may start there"
             raise BrokenRuleError("start", rule)
         return self
 
@@ -224,9 +224,9 @@ def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
     def check(axis: AxisValue) -> AxisValue:
         for field, value in _ends(axis):
             if value < low:
-                raise BrokenRuleError(field, f"must be at least {low:g}, not {value!r}")
+                raise BrokenRuleError(field, f"must be at least {low:g}, not {describe(value)}")
             if value > high:
-                raise BrokenRuleError(field, f"must be at most {high:g}, not {value!r}")
+                raise BrokenRuleError(field, f"must be at most {high:g}, not {describe(value)}")
         values = values_of(axis)
         too_small = values[(values > 0.0) & (values < SMALLEST_POSITIVE)]
         if len(too_small):

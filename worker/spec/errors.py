@@ -81,8 +81,10 @@ def describe(value: object) -> str:
             text = {None: "nothing", True: "true", False: "false"}[value]
         case int() if value.bit_length() > 128:
             text = f"a whole number of about {round(value.bit_length() * 0.30103)} digits"
-        case int() | float():
+        case int():
             text = repr(value)
+        case float():
+            text = f"{value:g}" if float(f"{value:g}") == value else repr(value)
         case str():
             text = f"text {_shorten(repr(value))}"
         case dict():

@@ -99,7 +99,13 @@ def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
      ([1.0, 1.0 + 1e-9, 1.0 + 2e-9, 1.0 + 3e-9], "linear")],
 )  # fmt: skip
 def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], scale: str):
-    assert drawn(cells(gamma=np.array(values, float))).get_xscale() == scale
+    axes = drawn(cells(gamma=np.array(values, float)))
+    assert axes.get_xscale() == scale
+    assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
+
+
+def test_room_for_half_a_dot_is_that_of_the_axis():
+    assert drawn(cells(gamma=np.geomspace(0.01, 100.0, 4))).get_xlim()[0] > 0.009
 
 
 @pytest.mark.parametrize("log", ["none", "x", "y", "xy"])

@@ -224,6 +224,12 @@ def test_netcdf_holds_what_is_stored_of_attractors(attractors: Done, tmp_path: P
             assert dataset[name].attrs.get("units") == array.attrs.get("units")
 
 
+def test_what_is_no_sweep_has_no_page(attractors: Done):
+    answer = attractors.client.get(f"{attractors.here}/export?format=html")
+    assert answer.status_code == 422
+    assert "job_id: has no page, which shows a sweep: the protocol of this job is " in answer.text
+
+
 def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
     content = attractors.client.get(f"{attractors.here}/export?format=parquet").content
     rows = parquet.read_table(io.BytesIO(content)).to_pylist()

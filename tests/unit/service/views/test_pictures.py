@@ -183,10 +183,26 @@ if __name__ == "__main__":
     write()
 
 
+def test_a_legend_of_thresholds_has_what_is_drawn():
+    """Of one omega, which has no line, without predictions."""
+    columns = {"analytic": [1.0], "predicted_down": [NAN], "up": [NAN], "down": [1.1]}
+    axes = Figure().subplots()
+    data = {name: ("omega", column) for name, column in columns.items()}
+    draw_thresholds(axes, xarray.Dataset(data, {"omega": [0.5], "xi": 0.26}))
+    drawn = [(line.get_label(), line.get_marker()) for line in axes.lines]
+    assert drawn == [("Eq. 25", "_"), ("computed, down", "v")]
+
+
 def test_a_map_of_one_row_shows_its_cells():
-    """Of one omega, around which there is no distance to the next."""
+    """Of one omega, around which there is no distance to the next; the title has the direction of a ramp."""
     cells = {"outcome": [[1, 2, 3]], "periods": [[1, 0, 0]], "bounces": [[1, 0, 0]]}
     data = {name: (("omega", "gamma"), np.array(values)) for name, values in cells.items()}
     axes = Figure().subplots()
-    draw_modes(axes, xarray.Dataset(data, {"omega": [0.5], "gamma": [1.0, 2.0, 3.0], "xi": 0.2}))
+    found = xarray.Dataset(data, {"omega": [0.5], "gamma": [1.0, 9.0, 81.0], "xi": 0.2, "direction": "down"})
+    draw_modes(axes, found)
+    assert (axes.get_title()[-11:], axes.get_xscale(), axes.get_xlim()[0] > 0.3) == (
+        ", ramp down",
+        "log",
+        True,
+    )
     assert axes.collections[0].get_datalim(axes.transData).height > 0.0

@@ -15,7 +15,7 @@ from tables import for_each
 
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
-from service.views import selection
+from service.views import selection, shared
 from service.views.modes import OTHER_FLIGHTS, Hysteresis
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
@@ -46,6 +46,15 @@ def test_a_study_that_has_not_begun_is_read_as_fill_values(kind: str, tmp_path: 
     assert {name: array.shape for name, array in arrays.items()} == {
         each.name: layout.shape(each) for each in layout.arrays
     }
+
+
+def test_a_page_of_a_ramp_along_omega_has_no_thresholds(tmp_path: Path):
+    """They are those in gamma, of a sweep from rest or ramped along gamma."""
+    cell: dict[str, Any] = {"gamma": 1.2, "omega": [0.5, 0.6], "xi": 0.1, "model": {"kind": "rigid"}}
+    ramp = {"kind": "ramp", "axis": "omega", "direction": "up"}
+    for protocol, number in (({"kind": "rest"}, 1), (ramp, 0)):
+        study = Stored(SweepSpec(**cell, protocol=protocol), str(tmp_path / "none.zarr"))
+        assert len(shared._thresholds(study)) == number
 
 
 @pytest.fixture(scope="module")
