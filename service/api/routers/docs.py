@@ -22,7 +22,7 @@ _PAGE: Final = """<!doctype html>
 </head><body>
 <a class="skip" href="#content">Skip to the content</a>
 <header><a class="name" href="/"><img src="/static/icon.svg" alt="" width="26" height="26">Bouncing spring</a>
-<nav aria-label="Main"><a href="/#/">Sweeps</a><a href="/#/new">New sweep</a><a href="/#/explore">Explore</a>
+<nav aria-label="Main"><a href="/#/">Sweeps</a><a href="/#/new">New</a><a href="/#/explore">Explore</a>
 <a href="/docs" aria-current="page">API</a></nav></header>
 <main id="content" tabindex="-1">
 <h1>HTTP API</h1><p>{summary} Machine-readable: <a href="/openapi.json">/openapi.json</a>.</p>
