@@ -4,7 +4,7 @@ import { requestBlob } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { count, number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, TWO_PI } from "../lib/physics.js";
+import { AXES, SYMBOL, TWO_PI, initialValue } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 
@@ -77,8 +77,9 @@ export class MeasuredPoints {
 
   /** Whether a point is of the fixed values of the plot, where it has its own. */
   #isHere(row) {
-    const fixed = Object.entries(this.view.place).filter(([axis]) => axis !== this.view.along && axis !== this.value);
-    return fixed.every(([axis, value]) => !(Math.abs(row[axis] - value) > NEAR * value));
+    const { along, place, source } = this.view;
+    const fixed = AXES.filter((axis) => axis !== along && axis !== this.value).map((axis) => [row[axis], initialValue(source.grid[axis], place[axis])]);
+    return fixed.every(([given, value]) => !(Math.abs(given - value) > NEAR * value));
   }
 
   /** The highest of the points from `low` to `high` on the axis. */
@@ -98,7 +99,7 @@ export class MeasuredPoints {
     const unit = this.value === "gamma" ? "" : " rad";
     const residual = distances.length ? `, median residual ${number(median, 2)}${unit}, largest ${number(distances.at(-1), 2)}${unit}` : "";
     const others = this.#rows.length - points.length;
-    const elsewhere = others ? `; ${count(others)} at other ${AXES.filter((axis) => axis in view.grid && axis !== view.along && axis !== this.value).map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
+    const elsewhere = others ? `; ${count(others)} of another ${AXES.filter((axis) => axis !== view.along && axis !== this.value).map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
     this.text.textContent = `Measured, ${kept.get(this.key).name}: ${distances.length} of ${plural(points.length, "point")}${residual}${elsewhere} ·`;
   }
 
