@@ -35,17 +35,17 @@ export function listenToInput(plot, handlers) {
     clearTimeout(selecting);
     pressed.set(event.pointerId, position(event));
     if (event.button !== 0 || !isInside(position(event), plot.box)) return;
-    dragStart = position(event);
+    dragStart = pressed.size > 1 ? null : position(event);
     dragEnd = null;
   });
+  element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false }); // no scrolling
   listen("pointermove", (event) => {
     const point = position(event);
     if (pressed.size === 2 && pressed.has(event.pointerId)) {
-      const before = distance(pressed);
+      const [before, length] = [values(middle(pressed)), distance(pressed)];
       pressed.set(event.pointerId, point);
-      const [[ax, ay], [bx, by]] = pressed.values();
-      dragStart = dragEnd = null;
-      handlers.scale(Array(2).fill(before / Math.max(distance(pressed), 1)), values([(ax + bx) / 2, (ay + by) / 2]));
+      handlers.pan(before, values(middle(pressed)));
+      handlers.scale(Array(2).fill(length / Math.max(distance(pressed), 1)), before);
     } else if (dragStart && event.shiftKey) {
       element.setPointerCapture(event.pointerId);
       if (dragEnd) handlers.pan(values(dragEnd), values(point));
@@ -115,6 +115,11 @@ export function listenToInput(plot, handlers) {
 function distance(pointers) {
   const [[ax, ay], [bx, by]] = pointers.values();
   return Math.hypot(ax - bx, ay - by);
+}
+
+function middle(pointers) {
+  const [[ax, ay], [bx, by]] = pointers.values();
+  return [(ax + bx) / 2, (ay + by) / 2];
 }
 
 /** The window between two corners of a drag; a drag along one axis keeps the whole range of the other. */
