@@ -1,7 +1,7 @@
 // Shows the page that belongs to the address.
 
 import { dropped } from "./form/pasted.js";
-import { shared, takeToken } from "./lib/api.js";
+import { connection, shared, takeToken } from "./lib/api.js";
 import { currentAddress, discardPending, navigate, replace } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
@@ -35,8 +35,8 @@ async function showAddress() {
   const isFirst = shown === null;
   [page, shown] = [null, wanted];
   const load = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
-  const Page = await load().catch(() => NotFound); // the service is away
-  if (wanted !== shown) return; // left meanwhile
+  const Page = await load().catch(() => connection.dispatchEvent(new Event("unreachable")) && null);
+  if (!Page || page || wanted !== shown) return; // the service is away; built, or left, meanwhile
   page = new Page(root, currentAddress());
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
@@ -90,6 +90,6 @@ addEventListener("drop", (event) => {
   else navigate(["new"]);
 });
 document.addEventListener("visibilitychange", () => document.hidden || page?.refresh(false)); // sweeps may have changed meanwhile
-watchConnection(() => page?.refresh());
+watchConnection(() => (page ? page.refresh() : location.reload())); // a browser may not load again what it could not
 takeToken();
 showAddress();
