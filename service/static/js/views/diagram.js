@@ -25,6 +25,7 @@ const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell 
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
 export class Diagram extends PlotView {
+  answer = "diagram";
   lines = []; // one per source and shown direction
 
   constructor(root, view) {
@@ -37,7 +38,7 @@ export class Diagram extends PlotView {
     this.options = h("div", {});
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
-    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();
   }
 
@@ -140,7 +141,7 @@ export class Diagram extends PlotView {
   /** What is shown: the window, without the flights of hidden modes. */
   filePath(source) {
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: currentQuery().log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log ?? currentQuery().log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
   }
 
   read(results) {
