@@ -42,7 +42,7 @@ async function showAddress() {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load()), REST_MS); // while the service answers
+  if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load().catch(() => null)), REST_MS); // while the service answers
   else {
     scrollTo(0, 0);
     document.querySelector("h1")?.focus({ preventScroll: true });
