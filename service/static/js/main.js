@@ -55,8 +55,7 @@ function takeMeasured(file, target) {
   const view = views.find(({ plot }) => plot.element.contains(target)) ?? views[0];
   if (view) return view.measured.take(file);
   const problem = page?.problem ?? page?.view?.problem;
-  problem?.show(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
-  problem?.element.scrollIntoView({ block: "center" });
+  problem?.showInView(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
 }
 
 class NotFound {

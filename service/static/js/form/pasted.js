@@ -33,13 +33,8 @@ export class PastedSpecification {
       this.text.value = await file.text();
       this.take();
     } catch (error) {
-      this.#refuse(error);
+      this.problem.showInView(error);
     }
-  }
-
-  #refuse(error) {
-    this.problem.show(error);
-    this.problem.element.scrollIntoView({ block: "nearest" });
   }
 
   close() {
@@ -54,7 +49,7 @@ export class PastedSpecification {
       await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
       taken(spec);
     } catch (error) {
-      this.#refuse(error);
+      this.problem.showInView(error);
     }
   }
 }

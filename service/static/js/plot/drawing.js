@@ -19,11 +19,8 @@ export function resizedContext(canvas, width, height, ratio = pixelRatio()) {
 /** A PNG that says what it shows, in an iTXt chunk after its header. */
 export function described(png, text) {
   const chunk = new TextEncoder().encode(`iTXtDescription\0\0\0\0\0${text}`);
-  let crc = -1;
-  for (const byte of chunk) {
-    crc ^= byte;
-    for (let bit = 0; bit < 8; bit++) crc = (crc >>> 1) ^ (crc & 1 ? 0xedb88320 : 0);
-  }
+  const divided = (rest) => (rest >>> 1) ^ (rest & 1 ? 0xedb88320 : 0);
+  const crc = chunk.reduce((rest, byte) => Array(8).fill().reduce(divided, rest ^ byte), -1);
   const [length, check] = [chunk.length - 4, ~crc].map((value) => [24, 16, 8, 0].map((bits) => (value >> bits) & 255));
   return new Blob([png.slice(0, 33), Uint8Array.from(length), chunk, Uint8Array.from(check), png.slice(33)], { type: "image/png" });
 }

@@ -42,10 +42,10 @@ export function listenToInput(plot, handlers) {
   listen("pointermove", (event) => {
     const point = position(event);
     if (pressed.size === 2 && pressed.has(event.pointerId)) {
-      const [before, length] = [values(middle(pressed)), distance(pressed)];
-      pressed.set(event.pointerId, point);
-      handlers.pan(before, values(middle(pressed)));
-      handlers.scale(Array(2).fill(length / Math.max(distance(pressed), 1)), before);
+      const before = between(pressed);
+      const after = between(pressed.set(event.pointerId, point));
+      handlers.pan(values(before.middle), values(after.middle));
+      handlers.scale(Array(2).fill(before.length / Math.max(after.length, 1)), values(before.middle));
     } else if (dragStart && event.shiftKey) {
       element.setPointerCapture(event.pointerId);
       if (dragEnd) handlers.pan(values(dragEnd), values(point));
@@ -111,15 +111,10 @@ export function listenToInput(plot, handlers) {
   });
 }
 
-/** Between two pointers, px. */
-function distance(pointers) {
+/** What is between two pointers, px. */
+function between(pointers) {
   const [[ax, ay], [bx, by]] = pointers.values();
-  return Math.hypot(ax - bx, ay - by);
-}
-
-function middle(pointers) {
-  const [[ax, ay], [bx, by]] = pointers.values();
-  return [(ax + bx) / 2, (ay + by) / 2];
+  return { length: Math.hypot(ax - bx, ay - by), middle: [(ax + bx) / 2, (ay + by) / 2] };
 }
 
 /** The window between two corners of a drag; a drag along one axis keeps the whole range of the other. */

@@ -52,9 +52,8 @@ export class Plot {
     if (!width) return;
     const ctx = resizedContext(this.canvas, width, height);
     const content = this.content();
-    this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
+    this.box = content && this.#paint(ctx, content, pixelRatio());
     if (content) {
-      this.#paint(ctx, content, this.box);
       this.texts.replaceChildren(...this.box.texts.flatMap(({ text }) => [h("span", {}, text), " "]));
       const axis = ({ label, low, high }) => `${label} from ${number(low, 4)} to ${number(high, 4)}`;
       this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
@@ -65,7 +64,8 @@ export class Plot {
     this.element.dispatchEvent(new Event("drawn"));
   }
 
-  #paint(ctx, content, box) {
+  #paint(ctx, content, ratio) {
+    const box = boxOf(ctx, content, this.element.clientWidth, this.element.clientHeight, theme(), ratio);
     ctx.fillStyle = box.theme.surface;
     ctx.fillRect(0, 0, ctx.canvas.width, ctx.canvas.height);
     if (content.y.periods) drawPeriods(ctx, box);
@@ -73,18 +73,17 @@ export class Plot {
     drawFrame(ctx, box, content);
     drawHeadings(ctx, box);
     drawTexts(ctx, box);
+    return box;
   }
 
-  /** What is drawn, as a PNG with more pixels, more entries of the legend, another plot below it, and a text on what it is. */
-  async png(entries = [], below = null, text = "") {
-    const [canvas, plots] = [h("canvas"), [this, ...(below ? [below] : [])]];
-    const heights = plots.map(({ element }) => element.clientHeight);
-    const ctx = resizedContext(canvas, this.element.clientWidth, heights[0] + (heights[1] ?? 0), PNG_RATIO);
-    for (const [i, plot] of plots.entries()) {
+  /** What is drawn, as a PNG of more pixels: with more entries of the legend, other plots below, a text on what it is. */
+  async png(entries = [], below = [], text = "") {
+    const [canvas, plots] = [h("canvas"), [this, ...below]];
+    const ctx = resizedContext(canvas, this.element.clientWidth, plots.reduce((sum, { element }) => sum + element.clientHeight, 0), PNG_RATIO);
+    for (const plot of plots) {
       const { legend = [], ...content } = plot.content();
-      const all = { ...content, legend: [...legend, ...(i ? [] : entries)] };
-      plot.#paint(ctx, all, boxOf(ctx, all, this.element.clientWidth, heights[i], theme(), PNG_RATIO));
-      ctx.translate(0, heights[i]);
+      plot.#paint(ctx, { ...content, legend: plot === this ? [...legend, ...entries] : legend }, PNG_RATIO);
+      ctx.translate(0, plot.element.clientHeight);
     }
     return described(await new Promise((resolve) => canvas.toBlob(resolve, "image/png")), text);
   }

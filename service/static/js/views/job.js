@@ -32,7 +32,7 @@ export class JobView {
   closing = new AbortController();
 
   constructor(root, { path }) {
-    this.id = path[1];
+    Object.assign(this, { root, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.summary = new JobSummary(this.heading, {
       change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.#failed(error),
@@ -114,13 +114,10 @@ export class JobView {
     this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
-    [this.view, this.beside].forEach((view) => view?.close());
-    this.trajectory.hide();
-    this.job = this.view = this.beside = null;
-    this.heading.textContent = this.heading.title = "No such sweep";
+    this.close();
+    this.job = null;
     document.title = "No such sweep · Bouncing spring";
-    for (const part of [this.panel, this.second, this.controls, this.tabs, this.summary.about, this.summary.actions]) part.replaceChildren();
-    for (const part of [this.summary.progress, this.duplicate, this.rename, this.summary.notice, this.settling]) part.hidden = true;
+    this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
   }
 
   /** Show an error of an action or a view; where the sweep was deleted meanwhile, the page says so. */

@@ -56,7 +56,8 @@ export class MeasuredPoints {
   }
 
   #read({ name, text }) {
-    return { name, text, rows: tableOf(text, this.view.along, this.value) };
+    const rows = tableOf(text, this.view.along, this.value);
+    return { name, text, rows: rows.filter((row) => Number.isFinite(row[this.view.along]) && Number.isFinite(row[this.value])) };
   }
 
   #keep(table) {
@@ -66,20 +67,16 @@ export class MeasuredPoints {
     if (this.view.isLoaded) this.view.draw();
   }
 
-  /** The points {x, y, error} over the axis of the view, at its other values. */
+  /** The points {x, y, error} over the axis of the view, without rows of other values than its fixed ones. */
   get points() {
-    return this.#rows.filter((row) => this.#isHere(row)).map((row) => ({ x: row[this.view.along], y: row[this.value], error: row.error }));
+    const { along, place, source: { grid } } = this.view;
+    const fixed = this.#fixed.map((axis) => [axis, initialValue(grid[axis], place[axis])]);
+    const rows = (kept.get(this.key)?.rows ?? []).filter((row) => fixed.every(([axis, value]) => !(Math.abs(row[axis] - value) > NEAR * value)));
+    return rows.map((row) => ({ x: row[along], y: row[this.value], error: row.error }));
   }
 
-  get #rows() {
-    return (kept.get(this.key)?.rows ?? []).filter((row) => Number.isFinite(row[this.view.along]) && Number.isFinite(row[this.value]));
-  }
-
-  /** Whether a point is of the fixed values of the plot, where it has its own. */
-  #isHere(row) {
-    const { along, place, source } = this.view;
-    const fixed = AXES.filter((axis) => axis !== along && axis !== this.value).map((axis) => [row[axis], initialValue(source.grid[axis], place[axis])]);
-    return fixed.every(([given, value]) => !(Math.abs(given - value) > NEAR * value));
+  get #fixed() {
+    return AXES.filter((axis) => axis !== this.view.along && axis !== this.value);
   }
 
   /** The highest of the points from `low` to `high` on the axis. */
@@ -98,9 +95,10 @@ export class MeasuredPoints {
     const median = (distances[(distances.length - 1) >> 1] + distances[distances.length >> 1]) / 2;
     const unit = this.value === "gamma" ? "" : " rad";
     const residual = distances.length ? `, median residual ${number(median, 2)}${unit}, largest ${number(distances.at(-1), 2)}${unit}` : "";
-    const others = this.#rows.length - points.length;
-    const elsewhere = others ? `; ${count(others)} of another ${AXES.filter((axis) => axis !== view.along && axis !== this.value).map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
-    this.text.textContent = `Measured, ${kept.get(this.key).name}: ${distances.length} of ${plural(points.length, "point")}${residual}${elsewhere} ·`;
+    const { name, rows } = kept.get(this.key);
+    const others = rows.length - points.length;
+    const elsewhere = others ? `; ${count(others)} of another ${this.#fixed.map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
+    this.text.textContent = `Measured, ${name}: ${distances.length} of ${plural(points.length, "point")}${residual}${elsewhere} ·`;
   }
 
   draw(ctx, box) {

@@ -61,6 +61,7 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
+  log = ""; // the axes that are logarithmic, as queries name them
   isThinned = false; // whether all of it is more than the service sends
   closing = new AbortController();
 
@@ -109,14 +110,8 @@ export class PlotView {
     return { ...window, x0: lowest("x"), y0: lowest("y") };
   }
 
-  #toggleLog(i) {
-    this.logs[i] = !this.logs[i];
-    setQuery({ log: this.log ?? "none" });
-  }
-
-  /** Which axes are logarithmic, as queries name them; null for none. */
-  get log() {
-    return ["x", "y"].filter((_, axis) => this.logs?.[axis]).join("") || null;
+  #toggleLog(toggled) {
+    setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
   /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
@@ -128,7 +123,7 @@ export class PlotView {
     const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
-    this.logButtons = ["x", "y"].map((axis, i) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(i) }, `log ${axis}`));
+    this.logButtons = ["x", "y"].map((axis) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(axis) }, `log ${axis}`));
     this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
     const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
@@ -173,9 +168,10 @@ export class PlotView {
   scales(x, y) {
     const { x0, x1, y0, y1 } = this.visible();
     const { log } = currentQuery();
-    this.logs = [["x", x], ["y", y]].map(([name, axis]) => (log && this.windowed ? log.includes(name) : Boolean(axis.log)));
-    this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String(this.logs[i])));
-    return { x: { ...x, low: x0, high: x1, log: this.logs[0] }, y: { ...y, low: y0, high: y1, log: this.logs[1] } };
+    this.log = log && this.windowed ? log : `${x.log ? "x" : ""}${y.log ? "y" : ""}`;
+    const [isX, isY] = ["x", "y"].map((axis) => this.log.includes(axis));
+    this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String([isX, isY][i])));
+    return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
   /** An axis of the sweep in a plot. */
@@ -326,7 +322,7 @@ export class PlotView {
       ctx.fillStyle = entry.querySelector(".swatch").style.background;
       ctx.fillRect(x + 10, y - 7, 14, 14);
     }]);
-    return this.plot.png(entries, this.exponents, this.plot.element.dataset.shown);
+    return this.plot.png(entries, this.exponents && [this.exponents], this.plot.element.dataset.shown);
   }
 
   /** A picture of what is shown; figures and tables of the service. */
