@@ -25,7 +25,6 @@ const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell 
 
 /** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
 export class Diagram extends PlotView {
-  answer = "diagram";
   lines = []; // one per source and shown direction
 
   constructor(root, view) {
@@ -214,12 +213,12 @@ export class Diagram extends PlotView {
     return this.prefix + fixed + thinned + computed;
   }
 
-  /** The directions, or the sweeps, where there are several. */
+  /** The directions of a ramp, or the sweeps. */
   #legend() {
     const entries = this.isCompared
       ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [shortened(titleOf(line.source.job)), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
-    return entries.length < 2 ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
+    return entries.length < 2 && (this.isCompared || this.directions[0] === "rest") ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
   }
 
   #drawCursor(ctx, box) {

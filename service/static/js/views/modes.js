@@ -16,7 +16,6 @@ const DASH = [7, 4];
 
 export class Modes extends PlaneView {
   name = "modes";
-  answer = "modes";
   windowed = ["gamma", "omega"];
 
   constructor(root, view) {

@@ -7,6 +7,7 @@ import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.j
 import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
+import { polygon } from "../plot/drawing.js";
 import { listenToInput, panned, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 import { sharedPage } from "./measured.js";
@@ -42,8 +43,7 @@ async function requestFitting(path, options) {
 
 /**
  * A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
- *   name             part of the names of its files
- *   answer           optional; what a shared file calls its results
+ *   name             part of the names of its files, or what a shared file calls its results
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
  *   filePath(source) the address of the result of a source that is downloaded
@@ -61,7 +61,6 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
-  log = ""; // the axes that are logarithmic, as queries name them
   isThinned = false; // whether all of it is more than the service sends
   closing = new AbortController();
 
@@ -90,7 +89,7 @@ export class PlotView {
 
   /** The values of an axis that can be shown: of a shared file, those it holds. */
   valuesOf(axis) {
-    const held = (shared?.answers[this.answer] ?? []).filter((answer) => axis in answer).map((answer) => answer[axis]);
+    const held = (shared?.answers[this.name] ?? shared?.answers.diagram ?? []).filter((answer) => axis in answer).map((answer) => answer[axis]);
     return held.length ? [...new Set(held)].sort((a, b) => a - b) : this.grid[axis];
   }
 
@@ -318,10 +317,10 @@ export class PlotView {
 
   /** What is shown, with the entries of its legend and what it is of. */
   png() {
-    const entries = Array.from(this.plot.element.closest("section").querySelectorAll(".legend li:not(:has([aria-pressed=false]))"), (entry) => [entry.textContent, (ctx, x, y) => {
-      ctx.fillStyle = entry.querySelector(".swatch").style.background;
-      ctx.fillRect(x + 10, y - 7, 14, 14);
-    }]);
+    if (!this.isLoaded) throw new Error("Nothing is shown yet.");
+    const legend = this.plot.element.closest("section").querySelectorAll(".legend li:not(:has([aria-pressed=false]))");
+    const square = ({ style }) => (ctx, x, y) => polygon(ctx, style.background, [[x + 10, y - 7], [x + 24, y - 7], [x + 24, y + 7], [x + 10, y + 7]]);
+    const entries = Array.from(legend, (entry) => [entry.textContent, square(entry.querySelector(".swatch"))]);
     return this.plot.png(entries, this.exponents && [this.exponents], this.plot.element.dataset.shown);
   }
 

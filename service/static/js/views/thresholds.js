@@ -22,8 +22,7 @@ const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", 
 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
-  name = "thresholds";
-  answer = "threshold";
+  name = "threshold";
   along = "omega";
 
   constructor(root, view) {
