@@ -58,7 +58,8 @@ def measured(
     for name in at.keys() & set(table):
         here &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
     if not here.any():
-        raise BounceError(f"data: no point is at {', '.join(f'{axis} = {at[axis]:g}' for axis in sorted(at))}")
+        said = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
+        raise BounceError(f"data: no point is at {said}")
     columns = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
     return Measured(*(column[here] for column in columns))
 
