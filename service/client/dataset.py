@@ -144,11 +144,12 @@ class BounceAccessor:
         from service.client.measured import measured
 
         dataset = _selected(self._dataset, where)
+        at = {axis: dataset[axis].item() for axis in set(AXES) & set(dataset.coords) - set(dataset.dims)}
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:
             draw_thresholds(ax, dataset)
             if data is not None:
-                points = measured(data, "omega", "gamma")
+                points = measured(data, "omega", "gamma", at)
                 computed = [dataset[name].values for name in ("up", "down", "analytic", "predicted_down")]
                 draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
             return ax
@@ -167,7 +168,7 @@ class BounceAccessor:
             if data is not None:
                 along = along_of(dataset)
                 flights = dataset.flight_time.transpose(along, ...).values
-                points = measured(data, along, "flight_time", frequency)
+                points = measured(data, along, "flight_time", at, frequency)
                 draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
                 return ax
         elif dims == {"gamma", "omega"}:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Data: TypeAlias = "str | PathLike[str] | pandas.DataFrame | Mapping[str, Any]"
 
 MOST_ROWS: Final = 100_000
+_NEAR: Final = 1e-6  # relative, of values that are the same
 _COLUMNS: Final = ("gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequency", "error")
 
 
@@ -30,8 +31,12 @@ class Measured(NamedTuple):
     error: NDArray[np.float64]  # (n,)
 
 
-def measured(data: Data, along: str, value: str, frequency: float | None = None) -> Measured:
+def measured(
+    data: Data, along: str, value: str, at: Mapping[str, float], frequency: float | None = None
+) -> Measured:
     """The points of `data` over the axis `along`, of a `value`: "flight_time" in rad, or "gamma".
+
+    Those with columns of other values than `at` has of its axes are left out.
 
     Flight times are in rad of the plate (`flight_time`), or in ms (`flight_time_ms`) with the plate's
     frequency in Hz, given or as a column. `error` has the unit of what it is of. Raises BounceError naming
@@ -49,7 +54,14 @@ def measured(data: Data, along: str, value: str, frequency: float | None = None)
             also = " or flight_time_ms" if name == "flight_time" else ""
             raise BounceError(f"data: needs the column {name}{also}; it has {', '.join(map(str, table))}")
     error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
-    return Measured(_numbers(table, along), _numbers(table, y) * factor, error * factor)
+    here = np.ones(len(table), bool)
+    for name in at.keys() & set(table):
+        here &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
+    if not here.any():
+        said = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
+        raise BounceError(f"data: no point is at {said}")
+    columns = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
+    return Measured(*(column[here] for column in columns))
 
 
 def element(data: Data) -> str:

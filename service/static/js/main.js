@@ -1,7 +1,7 @@
 // Shows the page that belongs to the address.
 
 import { dropped } from "./form/pasted.js";
-import { shared, takeToken } from "./lib/api.js";
+import { connection, shared, takeToken } from "./lib/api.js";
 import { currentAddress, discardPending, navigate, replace } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
@@ -35,14 +35,14 @@ async function showAddress() {
   const isFirst = shown === null;
   [page, shown] = [null, wanted];
   const load = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
-  const Page = await load().catch(() => NotFound); // the service is away
-  if (wanted !== shown) return; // left meanwhile
+  const Page = await load().catch(() => connection.dispatchEvent(new Event("unreachable")) && null);
+  if (!Page || page || wanted !== shown) return; // the service is away; built, or left, meanwhile
   page = new Page(root, currentAddress());
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
   }
-  if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load()), REST_MS); // while the service answers
+  if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load().catch(() => null)), REST_MS); // while the service answers
   else {
     scrollTo(0, 0);
     document.querySelector("h1")?.focus({ preventScroll: true });
@@ -55,8 +55,7 @@ function takeMeasured(file, target) {
   const view = views.find(({ plot }) => plot.element.contains(target)) ?? views[0];
   if (view) return view.measured.take(file);
   const problem = page?.problem ?? page?.view?.problem;
-  problem?.show(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
-  problem?.element.scrollIntoView({ block: "center" });
+  problem?.showInView(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
 }
 
 class NotFound {
@@ -90,6 +89,6 @@ addEventListener("drop", (event) => {
   else navigate(["new"]);
 });
 document.addEventListener("visibilitychange", () => document.hidden || page?.refresh(false)); // sweeps may have changed meanwhile
-watchConnection(() => page?.refresh());
+watchConnection(() => (page ? page.refresh() : location.reload())); // a browser may not load again what it could not
 takeToken();
 showAddress();

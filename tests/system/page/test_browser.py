@@ -247,7 +247,9 @@ def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
     with opened(browser, address, expected=("422",)) as page:
         page.get_by_role("heading", name="Sweeps").wait_for()
         page.evaluate(DROP, ["spec.toml", "gamma = 1"])
-        page.get_by_text("This is not JSON.").wait_for()
+        refusal = page.get_by_text("This is not JSON: ")
+        refusal.wait_for()
+        assert refusal.bounding_box()["y"] < page.viewport_size["height"]
         page.get_by_label("Specification as JSON").fill(json.dumps(orbits | {"points": "many"}))
         page.locator(".problem", has_text="points").wait_for()
         page.evaluate(DROP, ["spec.json", json.dumps(orbits)])

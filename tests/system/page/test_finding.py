@@ -288,7 +288,12 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.get_by_label("Cycles up to").select_option("1")
         wait_for(lambda: 0 < rows.count() < len(events))
         page.get_by_label("Contact").select_option("soft")
-        assert page.get_by_label("depth").input_value() == "0.001"
+        depth = page.get_by_label("depth")
+        assert depth.input_value() == "0.001"
+        depth.fill("0,2")
+        depth.press("Enter")
+        assert depth.evaluate("input => input.validationMessage").endswith("comma: 0.2")
+        assert "penetration" not in page.url
         page.get_by_role("link", name="New sweep around this spring").click()
         page.locator(".cost", has_text="cells in").wait_for()
         assert page.get_by_label("contact model").input_value() == "soft"

@@ -1,6 +1,7 @@
 """Measured points dropped on a plot, in a real Chromium: their residual is that of the diagram below them."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         ).wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,long"])
         page.locator(".problem", has_text="flight_time of row 1 must be a number, not 'long'").wait_for()
+        page.evaluate(DROP, ["run.csv", "gamma,omega,flight_time\n1,0.6,4\n1,0.9,4\n1,,4"])
+        page.locator(".measured", has_text=re.compile("2 of 2 points.*; 1 of another Ω or ξ left")).wait_for()
         page.evaluate(DROP, ["run.csv", table])
         said = page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points")
         said.wait_for()

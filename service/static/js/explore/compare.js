@@ -84,10 +84,12 @@ export class Compare {
     this.panel.className = isOne ? "panel" : "panel side";
     this.panel.replaceChildren(...(isOne ? [] : roots));
     this.bar.replaceChildren();
+    const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
       sources: group, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
-      onPoint: (view, x, y) => this.views.filter((other) => other !== view).forEach((other) => other.follow(x, y)),
+      onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
+      onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown
     }));
   }
 

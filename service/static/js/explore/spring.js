@@ -75,20 +75,22 @@ class Cycles extends CyclesView {
 
   read([branches, thresholds]) {
     super.read([branches]);
-    this.thresholds = thresholds;
+    Object.assign(this, { thresholds, restEnds: thresholds.threshold.data, described: this.requested });
     this.describeThresholds();
   }
 
-  /** The thresholds in words: Eq. 25 at once, the rest when the service has answered. */
+  /** The thresholds in words: Eq. 25 of an ideal plate at once, the rest when the service has answered. */
   describeThresholds() {
     const { gamma, omega, xi } = this.place;
-    const lowest = threshold(omega, xi);
-    const parts = [`Rest ends at Γ = ${number(lowest, 4)} (Eq. 25): at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}.`];
-    if (this.thresholds && isClose(this.omega, omega) && isClose(this.xi, xi)) {
+    const isAnswered = this.described === this.paths().join();
+    const isOwn = "model" in contactQuery(contactOf());
+    const lowest = isOwn ? isAnswered && this.restEnds : threshold(omega, xi);
+    const parts = lowest ? [`Rest ends at Γ = ${number(lowest, 4)} (${isOwn ? "of this contact" : "Eq. 25"}): at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}.`] : [];
+    if (isAnswered) {
       const [jump, down, cause, reason] = ["jump", "down", "cause", "reason"].map((name) => this.thresholds[name].data);
       if (jump !== null) parts.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
       if (down === null) parts.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
-      else parts.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${cause}).`);
+      else parts.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${isOwn && down === lowest ? "rest" : cause}).`);
     }
     this.words.textContent = inSymbols(parts.join(" "));
   }

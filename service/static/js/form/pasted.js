@@ -33,7 +33,7 @@ export class PastedSpecification {
       this.text.value = await file.text();
       this.take();
     } catch (error) {
-      this.problem.show(error);
+      this.problem.showInView(error);
     }
   }
 
@@ -49,7 +49,7 @@ export class PastedSpecification {
       await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
       taken(spec);
     } catch (error) {
-      this.problem.show(error);
+      this.problem.showInView(error);
     }
   }
 }
@@ -57,7 +57,7 @@ export class PastedSpecification {
 function parsed(text) {
   try {
     return JSON.parse(text);
-  } catch {
-    throw new Error("This is not JSON. `bounce submit` takes TOML files.");
+  } catch (error) {
+    throw new Error(`This is not JSON: ${error.message}. \`bounce submit\` takes TOML files.`);
   }
 }

@@ -41,12 +41,15 @@ export class Plan {
     this.problem.show(null);
   }
 
-  #computeWithin() {
+  async #computeWithin() {
     this.problem.show(null);
+    this.within.disabled = true;
     try {
-      this.compute(seconds(this.budget.value || this.budget.placeholder));
+      await this.compute(seconds(this.budget.value || this.budget.placeholder));
     } catch (error) {
       this.problem.show(error);
+    } finally {
+      this.within.disabled = false;
     }
   }
 

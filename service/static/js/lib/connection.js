@@ -32,15 +32,18 @@ export function watchConnection(onRestored) {
   const refusal = dialog.querySelector(".problem");
   connection.addEventListener("unauthorized", ({ detail: { refused } }) => {
     refusal.hidden = !refused;
-    if (!dialog.open) dialog.showModal();
+    if (dialog.open) return;
+    dialog.returnValue = "";
+    dialog.showModal();
   });
+  dialog.addEventListener("close", () => dialog.returnValue || dialog.showModal()); // after Escape: nothing can be shown
   dialog.querySelector("form").addEventListener("submit", (event) => {
     event.preventDefault();
     const input = dialog.querySelector("input");
     setToken(input.value.trim());
     input.value = "";
     refusal.hidden = true;
-    dialog.close();
+    dialog.close("given");
     onRestored();
   });
 }

@@ -25,7 +25,8 @@ export function problemLine() {
     element.hidden = !error;
     element.textContent = error?.message ?? "";
   };
-  return { element, show };
+  const showInView = (error) => { show(error); element.scrollIntoView({ block: "nearest" }); };
+  return { element, show, showInView };
 }
 
 const SAID_MS = 1500;

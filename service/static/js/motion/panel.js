@@ -191,7 +191,7 @@ function startText(direction, job) {
   const start = startOf(direction);
   if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor") return `on number ${start.number} of the attractors of the cell`;
+  if (start?.kind === "attractor") return `on the attractor that ${start.number > 1 ? `is number ${start.number} by the drops that reach it` : "most drops reach"}`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }

@@ -3,7 +3,7 @@
 import palette from "../../palette.json" with { type: "json" };
 import { LABEL, LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
 
-const DARK = "(prefers-color-scheme: dark)";
+const DARK = "screen and (prefers-color-scheme: dark)"; // paper is white
 const PROPERTIES = ["surface", "text", "muted", "border", ...Object.keys(palette.lines)];
 const SERIF = "'STIX Two Text', 'Iowan Old Style', Palatino, Georgia, 'DejaVu Serif', serif";
 const themes = new Map();

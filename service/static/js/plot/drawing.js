@@ -4,8 +4,7 @@
 export const pixelRatio = () => Math.min(devicePixelRatio || 1, 2);
 
 /** The cleared context of a canvas resized to `width` × `height` CSS pixels. */
-export function resizedContext(canvas, width, height) {
-  const ratio = pixelRatio();
+export function resizedContext(canvas, width, height, ratio = pixelRatio()) {
   const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
   if (canvas.width !== columns || canvas.height !== rows) {
     [canvas.width, canvas.height] = [columns, rows];
@@ -15,6 +14,15 @@ export function resizedContext(canvas, width, height) {
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   ctx.clearRect(0, 0, width, height);
   return ctx;
+}
+
+/** A PNG that says what it shows, in an iTXt chunk after its header. */
+export function described(png, text) {
+  const chunk = new TextEncoder().encode(`iTXtDescription\0\0\0\0\0${text}`);
+  const divided = (rest) => (rest >>> 1) ^ (rest & 1 ? 0xedb88320 : 0);
+  const crc = chunk.reduce((rest, byte) => Array(8).fill().reduce(divided, rest ^ byte), -1);
+  const [length, check] = [chunk.length - 4, ~crc].map((value) => [24, 16, 8, 0].map((bits) => (value >> bits) & 255));
+  return new Blob([png.slice(0, 33), Uint8Array.from(length), chunk, Uint8Array.from(check), png.slice(33)], { type: "image/png" });
 }
 
 /** A polyline through `points`, [x, y] in pixels, interrupted where one is null; `dash` as in setLineDash. */

@@ -67,8 +67,10 @@ export function drawFrame(ctx, box, { x, y }) {
   drawXTicks(ctx, box);
   drawYTicks(ctx, box, y.periods);
   const title = { align: "center", size: FONT_SIZE + 3, italic: true };
+  ctx.font = `italic ${title.size}px ${theme.serif}`;
   if (x.label) texts.push({ ...title, text: x.label, x: left + width / 2, y: top + height + 36 });
-  if (y.label) texts.push({ ...title, text: y.label, x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
+  const fits = ctx.measureText(y.label).width < height + 24;
+  if (y.label) texts.push({ ...title, text: fits ? y.label : y.label.replace(/.* (?=[ΓΩξφ])/, ""), x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures. */

@@ -35,17 +35,17 @@ export function listenToInput(plot, handlers) {
     clearTimeout(selecting);
     pressed.set(event.pointerId, position(event));
     if (event.button !== 0 || !isInside(position(event), plot.box)) return;
-    dragStart = position(event);
+    dragStart = pressed.size > 1 ? null : position(event);
     dragEnd = null;
   });
+  element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false }); // no scrolling
   listen("pointermove", (event) => {
     const point = position(event);
     if (pressed.size === 2 && pressed.has(event.pointerId)) {
-      const before = distance(pressed);
-      pressed.set(event.pointerId, point);
-      const [[ax, ay], [bx, by]] = pressed.values();
-      dragStart = dragEnd = null;
-      handlers.scale(Array(2).fill(before / Math.max(distance(pressed), 1)), values([(ax + bx) / 2, (ay + by) / 2]));
+      const before = between(pressed);
+      const after = between(pressed.set(event.pointerId, point));
+      handlers.pan(values(before.middle), values(after.middle));
+      handlers.scale(Array(2).fill(before.length / Math.max(after.length, 1)), values(before.middle));
     } else if (dragStart && event.shiftKey) {
       element.setPointerCapture(event.pointerId);
       if (dragEnd) handlers.pan(values(dragEnd), values(point));
@@ -111,10 +111,10 @@ export function listenToInput(plot, handlers) {
   });
 }
 
-/** Between two pointers, px. */
-function distance(pointers) {
+/** What is between two pointers, px. */
+function between(pointers) {
   const [[ax, ay], [bx, by]] = pointers.values();
-  return Math.hypot(ax - bx, ay - by);
+  return { length: Math.hypot(ax - bx, ay - by), middle: [(ax + bx) / 2, (ay + by) / 2] };
 }
 
 /** The window between two corners of a drag; a drag along one axis keeps the whole range of the other. */

@@ -3,8 +3,10 @@
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { onThemeChange, theme } from "./colours.js";
-import { clipped, pixelRatio, resizedContext } from "./drawing.js";
+import { clipped, described, pixelRatio, resizedContext } from "./drawing.js";
 import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts } from "./frame.js";
+
+const PNG_RATIO = 3; // pixels of a file per CSS pixel
 
 let plots = 0;
 
@@ -30,7 +32,7 @@ export class Plot {
     this.closing = new AbortController();
     this.observer = new ResizeObserver(() => this.redraw());
     this.observer.observe(this.element);
-    onThemeChange(() => this.redraw(), this.closing.signal);
+    onThemeChange(() => this.draw(), this.closing.signal); // at once, before it is printed
   }
 
   close() {
@@ -50,31 +52,40 @@ export class Plot {
     if (!width) return;
     const ctx = resizedContext(this.canvas, width, height);
     const content = this.content();
-    this.box = content && boxOf(ctx, content, width, height, theme(), pixelRatio());
-    if (content) this.#paint(ctx, content);
+    this.box = content && this.#paint(ctx, content, pixelRatio());
+    if (content) {
+      this.texts.replaceChildren(...this.box.texts.flatMap(({ text }) => [h("span", {}, text), " "]));
+      const axis = ({ label, low, high }) => `${label} from ${number(low, 4)} to ${number(high, 4)}`;
+      this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
+    }
     this.message.textContent = content?.message ?? "";
     this.message.hidden = !content?.message;
     this.drawCursor();
     this.element.dispatchEvent(new Event("drawn"));
   }
 
-  #paint(ctx, content) {
-    const { box } = this;
+  #paint(ctx, content, ratio) {
+    const box = boxOf(ctx, content, this.element.clientWidth, this.element.clientHeight, theme(), ratio);
     ctx.fillStyle = box.theme.surface;
-    ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    ctx.fillRect(0, 0, ctx.canvas.width, ctx.canvas.height);
     if (content.y.periods) drawPeriods(ctx, box);
     clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
     drawFrame(ctx, box, content);
     drawHeadings(ctx, box);
     drawTexts(ctx, box);
-    this.texts.replaceChildren(...box.texts.flatMap(({ text }) => [h("span", {}, text), " "]));
-    const axis = ({ label, low, high }) => `${label} from ${number(low, 4)} to ${number(high, 4)}`;
-    this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
+    return box;
   }
 
-  /** What is drawn, as a PNG. */
-  png() {
-    return new Promise((resolve) => this.canvas.toBlob(resolve, "image/png"));
+  /** What is drawn, as a PNG of more pixels: with more entries of the legend, other plots below, a text on what it is. */
+  async png(entries = [], below = [], text = "") {
+    const [canvas, plots] = [h("canvas"), [this, ...below]];
+    const ctx = resizedContext(canvas, this.element.clientWidth, plots.reduce((sum, { element }) => sum + element.clientHeight, 0), PNG_RATIO);
+    for (const plot of plots) {
+      const { legend = [], ...content } = plot.content();
+      plot.#paint(ctx, { ...content, legend: plot === this ? [...legend, ...entries] : legend }, PNG_RATIO);
+      ctx.translate(0, plot.element.clientHeight);
+    }
+    return described(await new Promise((resolve) => canvas.toBlob(resolve, "image/png")), text);
   }
 
   drawCursor() {

@@ -148,10 +148,7 @@ function drawEvent(ctx, box, [px, py], text, taken) {
     const isInside = left >= box.left && label.right <= box.left + box.width && top >= box.top && label.bottom <= box.top + box.height;
     if (!isInside || taken.some((other) => overlaps(other, label))) continue;
     taken.push(label);
-    ctx.fillStyle = box.theme.branch;
-    ctx.textAlign = "left";
-    ctx.textBaseline = "top";
-    ctx.fillText(text, left, top);
+    box.texts.push({ text, x: left, y: top + 7, italic: true, colour: box.theme.branch });
     return;
   }
 }

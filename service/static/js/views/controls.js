@@ -8,19 +8,18 @@ import { SYMBOL, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 /** Sliders along `axes` of a view's grid. Axes of one value have none: the plot's title shows their value. */
 export function sliders(view, axes) {
   if (view.isFollower) return false;
-  const movable = axes.filter((axis) => view.grid[axis].length > 1);
+  const movable = axes.filter((axis) => view.valuesOf(axis).length > 1);
   return movable.length > 0 && h("div", { className: "sliders" }, movable.map((axis) => slider(view, axis)));
 }
 
 function slider(view, axis) {
-  const values = view.grid[axis];
+  const values = view.valuesOf(axis);
   const id = `slider-${axis}`;
   const typed = h("input", {
     type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
     onchange: () => {
-      const value = Number(typed.value.replace("−", "-"));
-      if (typed.value.trim() && Number.isFinite(value)) setQuery({ [axis]: addressValue(view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)]) });
-      else show();
+      const value = typedIn(typed);
+      if (value !== null) setQuery({ [axis]: addressValue(view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)]) });
     },
   });
   const input = h("input", {
@@ -31,6 +30,7 @@ function slider(view, axis) {
     const value = view.place[axis];
     input.value = String(nearestIndex(values, value));
     typed.value = number(value);
+    typed.setCustomValidity("");
     input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
   };
   show();
@@ -48,16 +48,29 @@ export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {})
   return value >= min && value <= max ? value : otherwise;
 }
 
+/** The number from `min` to `max` that was typed; null of another text, and the input says why. */
+function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
+  const text = input.value.trim().replace("−", "-");
+  const value = text ? Number(text) : NaN;
+  const limits = max < Infinity ? ` from ${min} to ${max}` : min > -Infinity ? ` of ${min} or more` : "";
+  const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
+  input.setCustomValidity(Number.isFinite(value) && value >= min && value <= max ? "" : rule);
+  return input.reportValidity() ? value : null;
+}
+
 /** An input for such a number. */
-export const numberInput = (label, name, otherwise, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
-  type: "number", min: 0, step: "any", required: true, value: given(name, otherwise, attributes), ...attributes,
-  onchange: ({ target }) => { if (target.reportValidity()) setQuery({ [name]: target.valueAsNumber === otherwise ? null : target.valueAsNumber }); },
+export const numberInput = (label, name, otherwise, limits = {}, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
+  type: "text", inputmode: "decimal", value: given(name, otherwise, limits), ...attributes,
+  onchange: ({ target }) => {
+    const value = typedIn(target, { min: 0, ...limits });
+    if (value !== null) setQuery({ [name]: value === otherwise ? null : value });
+  },
 }));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
 export const minFlightOf = ({ spec }) => given("min", spec.micro_flight);
 
 /** Which flights count, for points and modes alike. */
-export const minFlightInput = ({ spec }) => numberInput("Count flights above, rad", "min", spec.micro_flight, {
+export const minFlightInput = ({ spec }) => numberInput("Count flights above, rad", "min", spec.micro_flight, {}, {
   "data-service": true, title: "Shorter flights do not count for the mode and are not drawn, unless all flights of a cell are shorter",
 });

@@ -4,7 +4,7 @@ import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { number } from "../lib/format.js";
-import { axisLabel, clamp, startName } from "../lib/physics.js";
+import { axisLabel, clamp, startName, threshold } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { verticalLine } from "../plot/drawing.js";
 import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches } from "./closed-form.js";
@@ -49,7 +49,7 @@ export class CyclesView extends PlotView {
       title: `Ω = ${number(omega)},   ξ = ${number(xi)}`,
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
-      layers: [(ctx, box) => drawThreshold(ctx, box, { omega, xi }), (ctx, box) => drawBranches(ctx, box, this.branches)],
+      layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
       cursor: (ctx, box) => {
         if (this.current?.branch) drawCycle(ctx, box, this.current);
         else if (this.current) verticalLine(ctx, box, box.x.pixel(this.current.gamma), box.theme.muted, 1, [2, 3]);

@@ -37,7 +37,7 @@ export class Diagram extends PlotView {
     this.options = h("div", {});
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.#buildControls();
-    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();
   }
 
@@ -140,7 +140,7 @@ export class Diagram extends PlotView {
   /** What is shown: the window, without the flights of hidden modes. */
   filePath(source) {
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: currentQuery().log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
   }
 
   read(results) {
@@ -181,7 +181,7 @@ export class Diagram extends PlotView {
       legend: [...this.#legend(), ...(cycles ? branchLegend() : [])],
       message: emptyMessage(lines),
       layers: [
-        (ctx, box) => along === "gamma" && fixed && !this.isCompared && drawThreshold(ctx, box, fixed, lines.length * (STRIP + 1)),
+        (ctx, box) => along === "gamma" && fixed && !this.isCompared && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi), lines.length * (STRIP + 1)),
         (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
         (ctx, box) => this.measured?.draw(ctx, box),
@@ -213,12 +213,12 @@ export class Diagram extends PlotView {
     return this.prefix + fixed + thinned + computed;
   }
 
-  /** The directions, or the sweeps, where there are several. */
+  /** The directions of a ramp, or the sweeps. */
   #legend() {
     const entries = this.isCompared
       ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [shortened(titleOf(line.source.job)), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
-    return entries.length < 2 ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
+    return entries.length < 2 && (this.isCompared || this.directions[0] === "rest") ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
   }
 
   #drawCursor(ctx, box) {
@@ -334,19 +334,13 @@ function emptyMessage(lines) {
   return allAre(OUTCOME.atRest) ? "The spring stays on the plate" : "No flights to show";
 }
 
-/** The threshold of Eq. 25, labelled Γ_th `below` px further down, where it lies in the box. */
-export function drawThreshold(ctx, box, { omega, xi }, below = 0) {
-  const x = box.x.pixel(threshold(omega, xi));
+/** The Γ at which rest ends, labelled Γ_th `below` px further down, where it lies in the box. */
+export function drawThreshold(ctx, box, gamma, below = 0) {
+  const x = box.x.pixel(gamma);
   if (!(x >= box.left && x <= box.left + box.width)) return;
   verticalLine(ctx, box, x, box.theme.threshold, 1.2, [5, 4]);
-  const fitsRight = x + 32 < box.left + box.width;
-  ctx.fillStyle = box.theme.threshold;
-  ctx.textAlign = "left";
-  ctx.textBaseline = "alphabetic";
-  ctx.font = `italic 15px ${box.theme.serif}`;
-  ctx.fillText("Γ", fitsRight ? x + 5 : x - 26, box.top + below + 22);
-  ctx.font = `11px ${box.theme.serif}`;
-  ctx.fillText("th", fitsRight ? x + 16 : x - 15, box.top + below + 26);
+  const letter = { x: x + 32 < box.left + box.width ? x + 5 : x - 26, y: box.top + below + 17, colour: box.theme.threshold };
+  box.texts.push({ ...letter, text: "Γ", size: 15, italic: true }, { ...letter, text: "th", size: 11, x: letter.x + 11, y: letter.y + 5 });
 }
 
 /** At the cell whose trajectory is shown a triangle on the axis, and a line, as the trajectory covers the axis. */

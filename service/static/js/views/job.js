@@ -32,10 +32,10 @@ export class JobView {
   closing = new AbortController();
 
   constructor(root, { path }) {
-    this.id = path[1];
+    Object.assign(this, { root, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.summary = new JobSummary(this.heading, {
-      change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.problem.show(error),
+      change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.#failed(error),
     });
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
@@ -114,11 +114,16 @@ export class JobView {
     this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
-    this.view?.problem?.show(null); // it said so already
-    if (this.job) return;
-    this.heading.textContent = "No such sweep";
+    this.close();
+    this.job = null;
     document.title = "No such sweep · Bouncing spring";
-    this.summary.progress.hidden = this.duplicate.hidden = this.rename.hidden = true;
+    this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
+  }
+
+  /** Show an error of an action or a view; where the sweep was deleted meanwhile, the page says so. */
+  #failed(error) {
+    if (error.status === 404) this.refresh(false);
+    else this.problem.show(error);
   }
 
   #describe() {
@@ -147,7 +152,7 @@ export class JobView {
     try {
       this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
     } catch (error) {
-      this.problem.show(error);
+      this.#failed(error);
     }
   }
 
@@ -165,7 +170,7 @@ export class JobView {
     this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    const common = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell };
+    const common = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
     this.#showBeside(current === "modes" && WIDE.matches, common);
     this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
   }
@@ -186,13 +191,12 @@ export class JobView {
   /** The views of this kind of study. */
   #tabs() {
     const { spec } = this.job;
-    const { grid } = sourceOf(this.job);
-    if (isSweep(spec) && Math.min(grid.gamma.length, grid.omega.length) < 2) { // no plane
-      const { modes, ...tabs } = TABS;
-      return tabs;
-    }
-    if (isSweep(spec) && grid.omega.length >= MAPPED_FROM) return { __proto__: null, modes: TABS.modes, ...TABS };
-    return isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { __proto__: null, details: TABS.details });
+    const { gamma, omega } = sourceOf(this.job).grid;
+    const all = isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { details: TABS.details });
+    const isPlane = gamma?.length > 1 && omega?.length > 1;
+    const isLeftOut = { modes: !isPlane, map: !isPlane, thresholds: (spec.protocol.axis ?? "gamma") !== "gamma" };
+    const first = isSweep(spec) && isPlane && omega.length >= MAPPED_FROM ? { modes: TABS.modes } : {};
+    return { __proto__: null, ...Object.fromEntries(Object.entries({ ...first, ...all }).filter(([tab]) => !isLeftOut[tab])) };
   }
 
   /** The address holds the selected cell, and its axis values for the sliders of the other tabs. */

@@ -3,13 +3,14 @@
 import { requestBlob } from "../lib/api.js";
 import { announce, h, problemLine } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
-import { number, plural } from "../lib/format.js";
-import { TWO_PI } from "../lib/physics.js";
+import { count, number, plural } from "../lib/format.js";
+import { AXES, SYMBOL, TWO_PI, initialValue } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 
 const COLUMNS = ["gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequency", "error"];
 const MOST_ROWS = 100_000;
+const NEAR = 1e-6; // relative, of values that are the same
 const SIZE = 4.5; // px, of half a marker
 
 /** The files that were dropped, until the page is left: {name, text, rows} by job and value. */
@@ -55,7 +56,8 @@ export class MeasuredPoints {
   }
 
   #read({ name, text }) {
-    return { name, text, rows: tableOf(text, this.view.along, this.value) };
+    const rows = tableOf(text, this.view.along, this.value);
+    return { name, text, rows: rows.filter((row) => Number.isFinite(row[this.view.along]) && Number.isFinite(row[this.value])) };
   }
 
   #keep(table) {
@@ -65,10 +67,16 @@ export class MeasuredPoints {
     if (this.view.isLoaded) this.view.draw();
   }
 
-  /** The points {x, y, error} over the axis of the view. */
+  /** The points {x, y, error} over the axis of the view, without rows of other values than its fixed ones. */
   get points() {
-    const rows = kept.get(this.key)?.rows ?? [];
-    return rows.map((row) => ({ x: row[this.view.along], y: row[this.value], error: row.error })).filter(({ x, y }) => Number.isFinite(x) && Number.isFinite(y));
+    const { along, place, source: { grid } } = this.view;
+    const fixed = this.#fixed.map((axis) => [axis, initialValue(grid[axis], place[axis])]);
+    const rows = (kept.get(this.key)?.rows ?? []).filter((row) => fixed.every(([axis, value]) => !(Math.abs(row[axis] - value) > NEAR * value)));
+    return rows.map((row) => ({ x: row[along], y: row[this.value], error: row.error }));
+  }
+
+  get #fixed() {
+    return AXES.filter((axis) => axis !== this.view.along && axis !== this.value);
   }
 
   /** The highest of the points from `low` to `high` on the axis. */
@@ -87,7 +95,10 @@ export class MeasuredPoints {
     const median = (distances[(distances.length - 1) >> 1] + distances[distances.length >> 1]) / 2;
     const unit = this.value === "gamma" ? "" : " rad";
     const residual = distances.length ? `, median residual ${number(median, 2)}${unit}, largest ${number(distances.at(-1), 2)}${unit}` : "";
-    this.text.textContent = `Measured, ${kept.get(this.key).name}: ${distances.length} of ${plural(points.length, "point")}${residual} ·`;
+    const { name, rows } = kept.get(this.key);
+    const others = rows.length - points.length;
+    const elsewhere = others ? `; ${count(others)} of another ${this.#fixed.map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
+    this.text.textContent = `Measured, ${name}: ${distances.length} of ${plural(points.length, "point")}${residual}${elsewhere} ·`;
   }
 
   draw(ctx, box) {
@@ -108,13 +119,13 @@ function tableOf(text, along, value) {
   if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
   if (rows.length > MOST_ROWS) throw new Error(`has more than ${MOST_ROWS} rows`);
   const unknown = names.find((name) => !COLUMNS.includes(name));
-  if (unknown !== undefined) throw new Error(`${unknown.slice(0, 40)} is no column here; these are ${COLUMNS.join(", ")}`);
+  if (unknown !== undefined) throw new Error(`${unknown.slice(0, 40)} is no column here; these are ${COLUMNS.join(", ")}, separated by commas`);
   const inMs = value === "flight_time" && names.includes("flight_time_ms");
   if (inMs && !names.includes("frequency")) throw new Error("flight_time_ms needs the plate's frequency in Hz, as a column");
   const missing = [along, inMs ? "flight_time_ms" : value].find((name) => !names.includes(name));
   if (missing) throw new Error(`needs the column ${missing}${missing === "flight_time" ? " or flight_time_ms" : ""}; it has ${names.join(", ")}`);
   const numberIn = (cell = "", name, row) => {
-    if (cell !== "" && !Number.isFinite(Number(cell))) throw new Error(`${name} of row ${row + 1} must be a number, not '${cell.slice(0, 40)}'`);
+    if (cell !== "" && !Number.isFinite(Number(cell))) throw new Error(`${name} of row ${row + 1} must be a number, not '${cell.slice(0, 40)}'; commas separate columns, points decimals`);
     return cell === "" ? NaN : Number(cell);
   };
   return rows.map((cells, i) => {

@@ -66,7 +66,7 @@ export class Modes extends PlaneView {
 
   /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
-    return this.#path({ ...this.#part(), log: currentQuery().log, hide: this.legend.query });
+    return this.#path({ ...this.#part(), log: this.log, hide: this.legend.query });
   }
 
   #part() {

@@ -7,6 +7,7 @@ import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.j
 import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
+import { polygon } from "../plot/drawing.js";
 import { listenToInput, panned, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 import { sharedPage } from "./measured.js";
@@ -19,7 +20,7 @@ const LOG_RANGE = 1000; // the end of a logarithmic axis over its beginning, whe
 const SYMBOLS = new Set(Object.values(SYMBOL));
 /** The axis of flight times in a plot, with whole plate periods marked. */
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
-const FORMATS = [["PNG", "png"], ["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
+const FORMATS = [["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
 
 export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
 
@@ -42,7 +43,7 @@ async function requestFitting(path, options) {
 
 /**
  * A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
- *   name             part of the names of its files
+ *   name             part of the names of its files, or what a shared file calls its results
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
  *   filePath(source) the address of the result of a source that is downloaded
@@ -65,11 +66,11 @@ export class PlotView {
 
   /**
    * `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
-   * Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
-   * is told where the pointer is, `extent()` is the window of all data, and titles begin with `prefix`.
+   * `onMissing()`: the service has no such job. Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
+   * is told where the pointer is, `onLoad(view)` that there are data, `extent()` is the window of all data, and titles begin with `prefix`.
    */
-  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, extent, source: sources[0], directions: sources[0].directions });
+  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
+    Object.assign(this, { sources, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
   }
 
   get job() {
@@ -80,10 +81,16 @@ export class PlotView {
     return this.sources.length > 1;
   }
 
-  /** The values of the grid nearest to those of the address. */
+  /** The values nearest to those of the address. */
   get place() {
     const query = currentQuery();
-    return Object.fromEntries(Object.entries(this.grid).map(([axis, values]) => [axis, initialValue(values, query[axis])]));
+    return Object.fromEntries(Object.keys(this.grid).map((axis) => [axis, initialValue(this.valuesOf(axis), query[axis])]));
+  }
+
+  /** The values of an axis that can be shown: of a shared file, those it holds. */
+  valuesOf(axis) {
+    const held = (shared?.answers[this.name] ?? shared?.answers.diagram ?? []).filter((answer) => axis in answer).map((answer) => answer[axis]);
+    return held.length ? [...new Set(held)].sort((a, b) => a - b) : this.grid[axis];
   }
 
   /** The window zoomed to; null for everything. */
@@ -102,9 +109,8 @@ export class PlotView {
     return { ...window, x0: lowest("x"), y0: lowest("y") };
   }
 
-  #toggleLog(i) {
-    const logs = this.logs.map((is, other) => is !== (other === i));
-    setQuery({ log: ["x", "y"].filter((_, axis) => logs[axis]).join("") || "none" });
+  #toggleLog(toggled) {
+    setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
   /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
@@ -116,10 +122,11 @@ export class PlotView {
     const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
-    this.logButtons = ["x", "y"].map((axis, i) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(i) }, `log ${axis}`));
+    this.logButtons = ["x", "y"].map((axis) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(axis) }, `log ${axis}`));
     this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const column = [...shown, this.readout, this.measured?.element, h("div", { className: "actions" }, copyButton(() => this.said ?? this.hint), this.unzoom, this.logButtons, compute), this.#downloads(), ...tables, this.table.element];
+    const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
+    const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables, this.table.element]; // the legend grows while cells are computed
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -160,9 +167,10 @@ export class PlotView {
   scales(x, y) {
     const { x0, x1, y0, y1 } = this.visible();
     const { log } = currentQuery();
-    this.logs = [["x", x], ["y", y]].map(([name, axis]) => (log && this.windowed ? log.includes(name) : Boolean(axis.log)));
-    this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String(this.logs[i])));
-    return { x: { ...x, low: x0, high: x1, log: this.logs[0] }, y: { ...y, low: y0, high: y1, log: this.logs[1] } };
+    this.log = log && this.windowed ? log : `${x.log ? "x" : ""}${y.log ? "y" : ""}`;
+    const [isX, isY] = ["x", "y"].map((axis) => this.log.includes(axis));
+    this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String([isX, isY][i])));
+    return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
   /** An axis of the sweep in a plot. */
@@ -239,6 +247,7 @@ export class PlotView {
       this.#setCurrent(position && this.nearest(...position));
       this.showLegend();
       this.draw();
+      this.onLoad(this);
       if (this.paths().join() !== this.requested) this.load(); // thinned: the window in more detail
     } catch (error) {
       this.#showError(error);
@@ -262,6 +271,7 @@ export class PlotView {
     this.problem.show(error);
     this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.isLoaded;
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);
+    else if (error?.status === 404) this.onMissing();
     else if (error && !error.status) throw error;
   }
 
@@ -305,13 +315,22 @@ export class PlotView {
     this.onSelect(selected, this.sourceOf(cell).job);
   }
 
-  /** Pictures and tables of the service; what the service does not draw, as it is seen here. */
+  /** What is shown, with the entries of its legend and what it is of. */
+  png() {
+    if (!this.isLoaded) throw new Error("Nothing is shown yet.");
+    const legend = this.plot.element.closest("section").querySelectorAll(".legend li:not(:has([aria-pressed=false]))");
+    const square = ({ style }) => (ctx, x, y) => polygon(ctx, style.background, [[x + 10, y - 7], [x + 24, y - 7], [x + 24, y + 7], [x + 10, y + 7]]);
+    const entries = Array.from(legend, (entry) => [entry.textContent, square(entry.querySelector(".swatch"))]);
+    return this.plot.png(entries, this.exponents && [this.exponents], this.plot.element.dataset.shown);
+  }
+
+  /** A picture of what is shown; figures and tables of the service. */
   #downloads() {
-    const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.plot.png()];
+    const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.png()];
     if (shared) return downloads([png]);
     const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
     if (this.isCompared && this.paths().length > 1) return downloads([png, ...this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]))]);
-    return downloads([...files(this.source, FORMATS), ...(isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [])]);
+    return downloads([png, ...files(this.source, FORMATS), ...(isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [])]);
   }
 }
 

@@ -31,7 +31,7 @@ export class JobSummary {
 
   show(job) {
     const { state, progress, compiling } = job;
-    this.name.textContent = titleOf(job);
+    this.name.textContent = this.name.title = titleOf(job);
     if (!this.about.hasChildNodes() || job.choice) this.about.replaceChildren(...summary(job));
     this.state.textContent = state;
     this.progress.dataset.state = state;

@@ -22,7 +22,7 @@ const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", 
 
 /** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
 export class Thresholds extends PlotView {
-  name = "thresholds";
+  name = "threshold";
   along = "omega";
 
   constructor(root, view) {
@@ -73,7 +73,7 @@ export class Thresholds extends PlotView {
   whole() {
     const { omega, analytic } = this.thresholds;
     const [x0, x1] = cellExtent(omega);
-    const drawn = [...(this.found.length ? this.found : analytic), ...this.edges, this.measured.highest(x0, x1)];
+    const drawn = [...this.found, ...analytic.map((value) => Math.min(value, this.grid.gamma.at(-1))), ...this.edges, this.measured.highest(x0, x1)];
     return { x0, x1, y0: 0, y1: 1.12 * Math.max(...drawn) || 1 };
   }
 

@@ -111,7 +111,8 @@ def test_measured_flights_have_residuals_to_the_nearest(job: Job, ax: Axes, tmp_
 
 def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
     at = float(job.threshold(progress=False).down.sel(omega=0.6))
-    job.plot("threshold", data={"omega": [0.6], "gamma": [at + 0.01]}, ax=ax)
+    data = {"omega": [0.6, 0.6], "xi": [math.nan, 0.9], "gamma": [at + 0.01, at]}  # the other is elsewhere
+    job.plot("threshold", data=data, ax=ax)
     np.testing.assert_allclose(residuals(ax), [0.01], atol=1e-9)
 
 
@@ -121,6 +122,7 @@ def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
     ({"gamma": [1.0], "flight_time": ["long"]}, "data: flight_time of row 1 must be a number, not 'long'"),
     ({"gamma": [1.0], "flight_time_ms": [9.0]}, "data: flight_time_ms needs the plate's frequency in Hz"),
     ({"gamma": [1.0], "speed": [9.0]}, "data: speed is no column here; these are gamma, omega, xi"),
+    ({"gamma": [1.0], "omega": [0.7], "flight_time": [2.0]}, "data: no point is at omega = 0.6, xi = 0.05"),
     (Path(__file__).parents[4] / "docs/page.png", "is no table of columns with commas"),
 ])  # fmt: skip
 def test_data_that_is_no_table_of_points_is_refused(job: Job, data: Any, rule: str):
