@@ -58,7 +58,7 @@ def test_the_page_s_files_refer_to_each_other_and_to_nothing_missing(client: Tes
         references = re.findall(r'(?:src|href)="(/?(?:static|docs)[^"]*)"', response.text) if html else []
         if path.endswith(".js"):
             assert "javascript" in response.headers["content-type"]
-            references = re.findall(r'from "(\.\.?/[^"]+)"', response.text)
+            references = re.findall(r'(?:from |import\()"(\.\.?/[^"]+)"', response.text)
         paths += [urljoin(path, reference) for reference in references]
     shipped = {f"/static/{file.relative_to(page.FILES)}" for file in page.FILES.rglob("*") if file.is_file()}
     assert shipped - seen == {"/static/index.html"}
