@@ -64,7 +64,7 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
     `private`: the file must be closed to other users. Raises TokenFileUnusable.
     """
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=_at_once) as file:
             status, content = os.fstat(file.fileno()), file.read(_MAX_BYTES)
         lines = content.decode("ascii").splitlines()
     except OSError as error:
@@ -87,6 +87,13 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
     if not tokens:
         raise TokenFileUnusable(f"{path} holds no token: add a line NAME: TOKEN")
     return tokens
+
+
+def _at_once(path: str, flags: int) -> int:
+    """Open a file; a pipe without waiting for a writer."""
+    descriptor = os.open(path, flags | os.O_NONBLOCK)
+    os.set_blocking(descriptor, True)
+    return descriptor
 
 
 def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
