@@ -108,10 +108,8 @@ def _stores(settings: Settings) -> Iterator[Finding]:
         state = "is missing" if there is None else "is another ledger's"
         yield Finding("stores", f"{place}: their marker {store.MARKER} {state}; see /readyz", ok=False)
     if lost:
-        text = (
-            f"{len(lost)} with results are missing, such as {lost[0]}: put them back, or have them computed"
-        )
-        yield Finding("stores", f"{text} again by bounce doctor --verify while no service runs", ok=False)
+        text = f"{len(lost)} are missing, such as {lost[0]}: put them back, or run bounce doctor --verify"
+        yield Finding("stores", text, ok=False)
     for name in sorted(names):
         stem, _, rest = name.partition(".zarr")
         if f"{stem}.zarr" in known:

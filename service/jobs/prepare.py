@@ -206,10 +206,7 @@ def _kind(spec: Any) -> tuple[type, str | None]:
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
-    """The model chosen for a job; None if it names its model, and until the choice is made.
-
-    Raises LedgerUnusable.
-    """
+    """The model chosen for a job; None if it names its model, and until the choice is made."""
     try:
         return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
     except ValueError as error:
