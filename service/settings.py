@@ -124,7 +124,6 @@ class Settings(BaseSettings):
         None, description="TLS certificate that the service presents to the scheduler."
     )
     scheduler_key: Path | None = Field(None, description="Private key of `scheduler_cert`.")
-    #: With less, a worker is restarted before it has loaded its libraries.
     worker_memory: Annotated[int, Field(ge=200_000_000, le=2**62)] | None = Field(
         None, description="Bytes of memory of an embedded worker; default: its share of the machine's."
     )

@@ -64,7 +64,9 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
     `private`: the file must be closed to other users. Raises TokenFileUnusable.
     """
     try:
-        with open(path, "rb", opener=_at_once) as file:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe without waiting for a writer
+        os.set_blocking(descriptor, True)
+        with open(descriptor, "rb") as file:  # noqa: PTH123 - a descriptor, not a path
             status, content = os.fstat(file.fileno()), file.read(_MAX_BYTES)
         lines = content.decode("ascii").splitlines()
     except OSError as error:
@@ -87,13 +89,6 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
     if not tokens:
         raise TokenFileUnusable(f"{path} holds no token: add a line NAME: TOKEN")
     return tokens
-
-
-def _at_once(path: str, flags: int) -> int:
-    """Open a file; a pipe without waiting for a writer."""
-    descriptor = os.open(path, flags | os.O_NONBLOCK)
-    os.set_blocking(descriptor, True)
-    return descriptor
 
 
 def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:

@@ -57,14 +57,14 @@ def serve(**options: str | int | None) -> None:
     from service.settings import read_settings
 
     settings = read_settings(**options)
-    scheduler = settings.scheduler or settings.scheduler_file
+    there = settings.scheduler or settings.scheduler_file
+    doing = f"connecting to the scheduler {there}" if there else "starting workers"
     with ExitStack() as starting:
 
         def announce(line: str) -> None:
             starting.close()
             click.echo(line)
 
-        doing = f"connecting to the scheduler {scheduler}" if scheduler else "starting workers"
         starting.enter_context(display_elapsed(doing, after=5.0))
         embedded.serve(settings, announce)
 
