@@ -100,4 +100,4 @@ class DataFolderBusy(NotStarted):
 
 
 class LedgerUnusable(NotStarted):
-    """A newer version wrote the ledger, or the file is no ledger."""
+    """A newer version wrote the ledger, the file is no ledger, or its rows are not what a service writes."""

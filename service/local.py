@@ -66,7 +66,7 @@ CANCEL_SECONDS: Final = 0.8
 #: Say before a run what it may take, if it is this long.
 SAID_SECONDS: Final = 10.0
 
-#: Announce a compilation after this many seconds: loading what is compiled takes less.
+#: Announce a compilation after this many seconds: loading what is compiled takes less on an idle machine.
 MESSAGE_SECONDS: Final = 1.0
 
 #: Called with the job after every check.
@@ -402,7 +402,7 @@ def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
     while not wait([compiled], LOOK_SECONDS).done:
         if progress is True and any(time.time() - each.began > MESSAGE_SECONDS for each in compilations()):
             label = CONTACT_MODELS[spec.model.kind].label
-            with display_elapsed(f"compiling the {label}; later runs find it in the cache"):
+            with display_elapsed(f"compiling the {label}, or loading it from the cache"):
                 wait([compiled])
     compiled.result()
     thread.shutdown()

@@ -1,5 +1,6 @@
 """The service's settings, from `BOUNCE_*` environment variables or command-line options of the same names."""
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import urlsplit
@@ -45,6 +46,14 @@ def _split(value: Any) -> Any:
 Names = Annotated[frozenset[str], NoDecode, BeforeValidator(_split)]
 
 
+def _hosts(values: frozenset[str]) -> frozenset[str]:
+    """Names, addresses or `*`. Raises ValueError for what no Host header names."""
+    for name in values:
+        if not re.fullmatch(r"\*|[\w.-]+|[0-9a-f.]*(?::[0-9a-f.]*){2,}", name):
+            raise ValueError(f"{name[:80]}: a host is a name or an address, without scheme and port")
+    return values
+
+
 def _origins(values: frozenset[str]) -> frozenset[str]:
     """Origins without a slash at the end. Raises ValueError for one that no browser sends."""
     origins = frozenset(value.rstrip("/") for value in values)
@@ -75,7 +84,7 @@ class Settings(BaseSettings):
         None,
         description="File of more access tokens, one `NAME: TOKEN` per line, readable by this user alone.",
     )
-    allowed_hosts: Names = Field(
+    allowed_hosts: Annotated[Names, AfterValidator(_hosts)] = Field(
         frozenset(),
         description="Host names accepted beside loopback and `host`, separated by commas; `*` accepts any.",
     )
@@ -115,7 +124,7 @@ class Settings(BaseSettings):
         None, description="TLS certificate that the service presents to the scheduler."
     )
     scheduler_key: Path | None = Field(None, description="Private key of `scheduler_cert`.")
-    worker_memory: Count | None = Field(
+    worker_memory: Annotated[int, Field(ge=200_000_000, le=2**62)] | None = Field(
         None, description="Bytes of memory of an embedded worker; default: its share of the machine's."
     )
 

@@ -64,7 +64,9 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
     `private`: the file must be closed to other users. Raises TokenFileUnusable.
     """
     try:
-        with path.open("rb") as file:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe without waiting for a writer
+        os.set_blocking(descriptor, True)
+        with open(descriptor, "rb") as file:  # noqa: PTH123 - a descriptor, not a path
             status, content = os.fstat(file.fileno()), file.read(_MAX_BYTES)
         lines = content.decode("ascii").splitlines()
     except OSError as error:

@@ -127,8 +127,9 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
 
 
 async def reject_repeated_parameters(request: Request) -> None:
-    """Refuse a query parameter given twice, of which only the last would count. Raises InvalidRequest."""
+    """Refuse a parameter or key given twice, of which only one would count. Raises InvalidRequest."""
     counts = Counter(name for name, _ in request.query_params.multi_items())
+    counts["idempotency-key"] += len(request.headers.getlist("idempotency-key"))
     for name, count in counts.items():
         if count > 1:
             raise InvalidRequest.of(name, f"is given {count} times")

@@ -153,6 +153,9 @@ class Gate:
             own = {f"{scheme}://{headers.get('host')}" for scheme in ("http", "https")}
             if not same_site or not own.issuperset(headers.getlist("origin")):
                 raise HTTPException(403, "Origin: web pages of another origin must not change anything")
+            # Tags of jobs are weak: by RFC 9110, 13.1.1 none matches.
+            if headers.get("if-match", "*").strip() != "*":
+                raise HTTPException(412, "If-Match: changes depend on no tag: leave the header out")
         elif not (same_site or self._is_reader(headers) or _is_navigation(headers)):
             raise HTTPException(
                 403, "Sec-Fetch-Site: web pages of another origin may link to this, not load it"

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
 from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.prepare import choice_of
@@ -17,7 +17,7 @@ from service.views.view import Query
 from worker.analysis.model_selection import ModelChoice
 from worker.executors.base import Compiling
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.spec.errors import Code
+from worker.spec.errors import Code, is_number
 from worker.spec.specification import Document, Label
 from worker.studies import STUDIES
 
@@ -36,7 +36,13 @@ def _in_utc(moment: datetime) -> datetime:
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
 
 
-Time = Annotated[datetime, AfterValidator(_in_utc)]
+def _day(text: object) -> object:
+    if is_number(str(text)):  # Pydantic would take it for seconds since 1970
+        raise ValueError(f"must be a day such as 2026-11-25, not {text}")
+    return text
+
+
+Time = Annotated[datetime, BeforeValidator(_day), AfterValidator(_in_utc)]
 
 
 class NewName(Document):

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import httpx2
 
-from service.errors import DataFolderBusy, UnknownJob
+from service.errors import DataFolderBusy, LedgerUnusable, UnknownJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores.opening import open_ledger
 from service.jobs.stores.repair import describe, find_damage, repair, repair_metadata
@@ -23,7 +23,6 @@ from service.software import software
 from worker import store
 from worker.kernel_cache import default_root
 from worker.ownership import NotOurs, check_unshared
-from worker.spec.errors import SpecError
 
 #: Bytes of free disk space below which jobs may soon fail.
 FREE_BYTES: Final = 1 << 30
@@ -95,19 +94,23 @@ def _ledger(settings: Settings) -> Iterator[Finding]:
 
 
 def _stores(settings: Settings) -> Iterator[Finding]:
-    """Stores that the ledger does not know, and leftovers of deletions; not in the ledger."""
+    """Stores that the ledger does not know, that are missing, and leftovers of deletions."""
     place, ledger = settings.stores_url, settings.ledger_path
-    names = store.names_in(place)
+    names = set(store.names_in(place))
     yield Finding("stores", f"{place}: {sum(name.endswith('.zarr') for name in names)} stores")
-    ours, known = None, set[str]()
+    ours, known, lost = None, set[str](), list[str]()
     if ledger.exists():
         with backup.reading(ledger) as reading:
             (name, made), known = reading.marker(), reading.stores()
+            lost = [job.store for job in reading.search() if job.chunks_done and job.store not in names]
         ours = name if made else None
     if ours is not None and (there := store.read_marker(place)) != ours:
         state = "is missing" if there is None else "is another ledger's"
         yield Finding("stores", f"{place}: their marker {store.MARKER} {state}; see /readyz", ok=False)
-    for name in names:
+    if lost:
+        text = f"{len(lost)} are missing, such as {lost[0]}: put them back, or run bounce doctor --verify"
+        yield Finding("stores", text, ok=False)
+    for name in sorted(names):
         stem, _, rest = name.partition(".zarr")
         if f"{stem}.zarr" in known:
             continue
@@ -154,7 +157,7 @@ def _verify(
             if done:
                 repair_metadata(ledger, job, prepared)
         damaged = find_damage(prepared, done) if done else []
-    except (store.StoreError, SpecError) as error:
+    except (store.StoreError, LedgerUnusable) as error:
         return f"{job.id}: {error}", False
     if not damaged:
         return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True

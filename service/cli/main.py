@@ -56,14 +56,17 @@ def serve(**options: str | int | None) -> None:
     from service.server import embedded
     from service.settings import read_settings
 
+    settings = read_settings(**options)
+    there = settings.scheduler or settings.scheduler_file
+    doing = f"connecting to the scheduler {there}" if there else "starting workers"
     with ExitStack() as starting:
 
         def announce(line: str) -> None:
             starting.close()
             click.echo(line)
 
-        starting.enter_context(display_elapsed("starting workers", after=5.0))
-        embedded.serve(read_settings(**options), announce)
+        starting.enter_context(display_elapsed(doing, after=5.0))
+        embedded.serve(settings, announce)
 
 
 @main.command()

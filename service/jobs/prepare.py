@@ -11,13 +11,13 @@ from functools import cached_property
 from typing import Any, Final
 
 from kernel.params import KERNEL_VERSION
-from service.ledger.ledger import Ledger
+from service.errors import LedgerUnusable
+from service.ledger.ledger import MEND, Ledger
 from service.ledger.model import JobRecord, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, choose, resolved
 from worker.executors.base import Executor, ExecutorError, WorkerDied
-from worker.spec.errors import SpecError
 from worker.studies import from_stored, study_of
 from worker.study import Chunk, Cost, Layout, Plan, Study
 from worker.sweep.specification import is_open
@@ -138,7 +138,7 @@ class JobPreparer:
     def prepare(self, job: JobRecord) -> PreparedJob:
         """The job, prepared; again after it was accepted again or its model was chosen.
 
-        Raises SpecError for a specification that this version does not accept.
+        Raises LedgerUnusable for a specification that is not the job's, or that this version does not accept.
         """
         # `seq` tells a job from a deleted one with the same id; the others change with the model of `auto`.
         key = job.id, job.seq, job.chunk_shape, job.choice
@@ -153,12 +153,20 @@ class JobPreparer:
             return self._jobs[key][0]
 
     def _prepared(self, job: JobRecord) -> PreparedJob:
-        submitted, choice = from_stored(job.spec), choice_of(job)
+        try:
+            submitted, choice = from_stored(job.spec), choice_of(job)
+            spec = submitted if choice is None else resolved(submitted, choice)
+            plan = study_of(submitted).plan(submitted, job.chunk_shape)
+        except (LookupError, TypeError, ValueError) as error:
+            raise LedgerUnusable(f"this release cannot read the ledger's job {job.id}: {error}") from error
+        if submitted.job_id(job.kernel_version) != job.id or len(plan) != job.chunks_total:
+            rule = "its specification and chunks are not those of its id"
+            raise LedgerUnusable(f"the ledger is damaged: job {job.id}: {rule}: {MEND}")
         return PreparedJob(
             job_id=job.id,
             submitted=submitted,
-            spec=submitted if choice is None else resolved(submitted, choice),
-            plan=study_of(submitted).plan(submitted, job.chunk_shape),
+            spec=spec,
+            plan=plan,
             store_url=self._settings.store_of(job.store),
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
             outdated=job.outdated,
@@ -175,7 +183,7 @@ class JobPreparer:
         for job in measured:
             try:
                 other = self.prepare(job)
-            except SpecError:  # an older version accepted it
+            except LedgerUnusable:  # an older version accepted it
                 continue
             other_table = other.study.estimate(other.submitted, other.plan)
             # Where done cells are not all computed, they do not show the speed.
@@ -199,7 +207,10 @@ def _kind(spec: Any) -> tuple[type, str | None]:
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
     """The model chosen for a job; None if it names its model, and until the choice is made."""
-    return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
+    try:
+        return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
+    except ValueError as error:
+        raise LedgerUnusable(f"the ledger is damaged: job {job.id}: its choice is none: {MEND}") from error
 
 
 class ModelChoices:

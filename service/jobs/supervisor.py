@@ -372,7 +372,7 @@ class Supervisor:
             remove_if_deleted(self._ledger, job)
 
     def _open(self, job: JobRecord) -> JobRun:
-        """The run of a job with a chosen model, and its store. Raises SpecError, StoreError, OSError."""
+        """The run of a job with a chosen model, and its store. Raises LedgerUnusable, StoreError, OSError."""
         prepared = self._preparer.prepare(job)
         store.create(prepared.store_url, prepared.layout, prepared.attributes)
         store.clear_cancelled(prepared.store_url)

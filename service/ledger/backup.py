@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger.ledger import check, locked, make_tables
-from service.ledger.paths import replaced_path, shm_of, wal_of
+from service.ledger.paths import lock_of, replaced_path, shm_of, wal_of
 from service.ledger.tables import VERSION
 from service.ledger.transactions import ReadTransaction
 from worker.files import make_folder, replacing, sync
@@ -32,6 +32,10 @@ def backup(ledger: Path, file: Path) -> Contents:
     """
     if not ledger.is_file():
         raise LedgerUnavailable(f"there is no ledger {ledger}")
+    own = {path.resolve() for path in (ledger, *(of(ledger) for of in (wal_of, shm_of, lock_of)))}
+    if file.resolve() in own or (file.exists() and not file.is_file()):
+        rule = "is the ledger's own" if file.resolve() in own else "is no regular file"
+        raise LedgerUnavailable(f"{file} {rule}: name another file for the copy")
     try:
         with (
             _opened(ledger) as source,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from service.errors import DataFolderBusy, LedgerUnavailable, LedgerUnusable
 from service.ledger.model import JobRecord
 from service.ledger.paths import lock_of, network_file_system, replaced_copies, size_of, wal_of
-from service.ledger.tables import TABLES, UPGRADES, VERSION
+from service.ledger.tables import TABLES, UPGRADES, VERSION, faults
 from service.ledger.transactions import ReadTransaction, WriteTransaction
 from worker.files import make_folder
 
@@ -249,29 +249,15 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
         if version not in (0, *UPGRADES, VERSION):
             rule = f"this service needs version {VERSION}: use the release that wrote it, or another folder"
             raise LedgerUnusable(f"the ledger is of version {version}, {rule}")
-        # Not `quick_check`: with a log of another copy, indices can name rows missing from the tables.
-        [first, *_] = connection.execute("PRAGMA integrity_check(1)").fetchone()
-        if first != "ok":
-            raise LedgerUnusable(f"{path} is damaged ({' '.join(first.split())}): {MEND}")
-        wrong = connection.execute(_CONTRADICTION).fetchone() if version else None
-        if wrong is not None:
-            raise LedgerUnusable(
-                f"{path} contradicts itself: job {wrong[0]} counts {wrong[1]} chunks and has {wrong[2]}: "
-                f"it may have the write-ahead log of another copy; {MEND}"
-            )
+        for query in faults(version):
+            if fault := next((row[0] for row in connection.execute(query) if row[0] is not None), None):
+                raise LedgerUnusable(f"{path} {fault}: {MEND}")
     except sqlite3.OperationalError as error:
         if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_INTERRUPT:
             raise
         log.warning("%s is large: its check ended after %g s", path, seconds)
     finally:
         connection.set_progress_handler(None, 0)
-
-
-_CONTRADICTION: Final = """
-    SELECT id, chunks_done, counted FROM (
-        SELECT id, chunks_done, (SELECT count(*) FROM chunks WHERE job = seq) AS counted FROM jobs
-    ) WHERE chunks_done != counted LIMIT 1
-"""
 
 
 def make_tables(connection: sqlite3.Connection) -> None:

@@ -2,6 +2,8 @@
 
 from typing import Final
 
+from service.ledger.model import JobState
+
 #: SQLite's `user_version` of a ledger with these tables. 0.2.0 has version 14.
 VERSION: Final = 17
 
@@ -124,3 +126,54 @@ UPGRADES: Final = {
     14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS} {_TIME_LEFT}",
     16: _TIME_LEFT,
 }
+
+#: What each column of a job holds, of which SQLite enforces nothing: a list of jobs reads all. Whether the
+#: specification is that of the id, which takes longer, is checked when the job is prepared.
+_COLUMNS: Final = {
+    "id": f"id GLOB '{'[0-9a-f]' * 32}'",
+    "store": "store = id || '.zarr' OR ltrim(store, '0123456789') = '-' || id || '.zarr'",
+    "spec": "json_valid(spec) AND json_type(spec) = 'object'",
+    "choice": "choice IS NULL OR json_valid(choice) AND json_type(choice, '$.model') = 'text'",
+    "state": f"state IN {tuple(map(str, JobState))}",
+} | {
+    column: rule.format(column)
+    for rule, columns in {
+        "typeof({0}) = 'text'": "name kernel_version",
+        "json_valid({0}) AND json_type({0}) = 'array'": "chunk_shape runs",
+        "coalesce({0}, 0) BETWEEN 0 AND 1e10": "created started finished progressed",
+        "coalesce({0}, 0) BETWEEN -1e300 AND 1e300": "core_seconds seconds_left",
+        "typeof({0}) = 'integer' AND {0} >= 0": "chunks_total cells_total cells_done cells_settling"
+        " cells_computed cells_timed first_cells",
+    }.items()
+    for column in columns.split()
+}
+_WRONG: Final = " ".join(
+    f"WHEN ({rule}) IS NOT TRUE THEN '{column} ' || substr(quote({column}), 1, 80)"
+    for column, rule in _COLUMNS.items()
+)
+
+#: Queries for what no service writes: what is wrong, or NULL.
+_ROWS: Final = (
+    "SELECT 'has no mark of its stores' WHERE (SELECT count(*) FROM marker) != 1",
+    "SELECT 'deletes ' || quote(store) || ', not the store of a deleted job' FROM deletions WHERE"
+    " (store GLOB '?*.zarr*' AND store NOT GLOB '*/*') IS NOT TRUE OR store IN (SELECT store FROM jobs)",
+    # Reads all text: what is not UTF-8 is an error.
+    f"SELECT 'is damaged: job ' || id || ' cannot have the ' || CASE {_WRONG} END,"
+    " name, spec, kernel_version, choice, owner, error, replaced_by, runs FROM jobs",
+)
+#: Not `quick_check`: with a log of another copy, indices can name rows missing from the tables.
+_INTEGRITY: Final = (
+    "SELECT 'is damaged (' || replace(integrity_check, char(10), ' ') || ')' FROM pragma_integrity_check(1)"
+    " WHERE integrity_check != 'ok'"
+)
+_CONTRADICTION: Final = """
+    SELECT 'contradicts itself: job ' || id || ' counts ' || chunks_done || ' chunks and has ' || counted
+        || ', as with the write-ahead log of another copy' FROM (
+        SELECT id, chunks_done, (SELECT count(*) FROM chunks WHERE job = seq) AS counted FROM jobs
+    ) WHERE chunks_done != counted LIMIT 1
+"""
+
+
+def faults(version: int) -> tuple[str, ...]:
+    """The queries for a ledger of a version, 0 without tables; the quickest first."""
+    return (*(_ROWS if version == VERSION else ()), _INTEGRITY, *((_CONTRADICTION,) if version else ()))

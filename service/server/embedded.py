@@ -134,6 +134,8 @@ def _stopped_by_signals() -> Iterator[None]:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
+    for further in (signal.SIGINT, signal.SIGTERM):  # another one would interrupt the cleanup
+        signal.signal(further, signal.SIG_IGN)
     quiet_libraries()
     raise _Stopped(number)
 

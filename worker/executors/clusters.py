@@ -220,16 +220,17 @@ class LocalWorkers(Target):
         """Stop all processes; kill any still running after CLOSE_SECONDS."""
         if (cluster := self.cluster) is not None:
             ended = threading.Event()
-            killing = threading.Thread(target=_kill_until, args=(ended, cluster))
-            killing.start()
+            killing = threading.Thread(target=_kill_until, args=(ended, cluster), daemon=True)
             try:
+                killing.start()
                 super().close()
             except AssertionError as error:  # distributed's, where a worker was just being started again
                 log.warning("the workers are killed, as their cluster could not be closed: %s", error)
                 _kill(cluster)
             finally:
                 ended.set()
-                killing.join()
+                if killing.is_alive():  # a second signal may have come before it started
+                    killing.join()
         self._stack.close()
 
 

@@ -30,6 +30,8 @@ def test_every_setting_is_described_in_one_sentence(name: str):
         ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
         ({"stores": "ftp://somewhere"}, "stores"),
         ({"port": 65536}, "port"),
+        ({"worker_memory": 1000}, "worker_memory"),
+        ({"allowed_hosts": "a.org, http://b.org"}, "http://b.org: a host is a name or an address"),
     ],
 )
 def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: str):

@@ -54,6 +54,12 @@ def test_a_line_that_breaks_a_rule_is_named_and_its_token_not_shown(tmp_path: Pa
     assert not [secret for secret in (ANA, BEN, "s3cret") if secret in str(refused.value)]
 
 
+def test_a_pipe_in_place_of_the_file_is_not_waited_for(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe", 0o600)
+    with pytest.raises(NotStarted, match="holds no token"):
+        Settings(token_file=tmp_path / "pipe").access_tokens()
+
+
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620])
 def test_a_file_that_is_open_to_others_is_refused(tmp_path: Path, mode: int):
     file = written(tmp_path, f"ana: {ANA}", mode)

@@ -218,6 +218,12 @@ def test_a_page_of_another_origin_changes_nothing(
     assert local.get(job).json()["state"] in ("queued", "running")
 
 
+def test_a_change_that_depends_on_a_tag_is_not_made(local: TestClient):
+    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
+    for tag, status in (('"zzz"', 412), (local.get(job).headers["ETag"], 412), ("*", 202)):
+        assert local.post(f"{job}/cancel", headers={"If-Match": tag}).status_code == status
+
+
 READS = [(method, path) for method, path in CALLS if method in ("GET", "HEAD")]
 
 

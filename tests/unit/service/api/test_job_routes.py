@@ -21,6 +21,10 @@ def test_a_key_must_be_ascii_without_spaces(tmp_path: Path):
             assert answer.status_code == 422, key
             assert answer.json()["errors"][0]["field"] == "idempotency-key"
             assert "pattern" not in answer.json()["detail"]
+        answer = client.post(
+            "/v1/jobs", json=SWEEP, headers=[("Idempotency-Key", "a"), ("Idempotency-Key", "b")]
+        )
+        assert (answer.status_code, answer.json()["detail"]) == (422, "idempotency-key: is given 2 times")
 
 
 # Estimates

@@ -1,5 +1,6 @@
 """A job's specification is parsed once and its plan made once, however many requests need them."""
 
+import json
 import threading
 from collections import Counter
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from scripted import small
 from served import computing, finished, get
 
 from kernel.params import KERNEL_VERSION
+from service.errors import LedgerUnusable
 from service.jobs import prepare
 from service.jobs.prepare import JobPreparer, PreparedJob
 from service.settings import Settings
@@ -86,6 +88,23 @@ def test_only_the_jobs_used_last_are_kept(
     assert calls["parsed"] == 4
     preparer.prepare(jobs[1])
     assert calls["parsed"] == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"spec": json.dumps(small(xi=0.3).as_submitted())}, "not those of its id: restore a backup"),
+        ({"chunks_total": 7}, "not those of its id"),
+        ({"spec": "null"}, "this release cannot read"),
+        ({"choice": "{}"}, "its choice is none"),
+    ],
+)
+def test_a_row_that_is_not_that_of_its_id_is_never_computed_nor_read(
+    preparer: JobPreparer, change: dict[str, Any], reason: str
+):
+    """A bit of the ledger has flipped: whole chunks would be taken for damaged and removed."""
+    with pytest.raises(LedgerUnusable, match=reason):
+        preparer.prepare(record(small(), **change))
 
 
 def test_the_metadata_of_an_earlier_release_are_served(tmp_path: Path):

@@ -1,5 +1,6 @@
 """Backups and their commands: whole copies beside a running service; restoring loses nothing."""
 
+import os
 import shutil
 import sqlite3
 from contextlib import closing
@@ -80,6 +81,15 @@ def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
     assert answer.exit_code == 1
     assert "file is not a database" in answer.output
     assert (folder / "backup.sqlite").read_bytes() == before
+    os.mkfifo(folder / "pipe")
+    for file in (
+        folder / "data" / "ledger.sqlite",
+        wal_of(folder / "data" / "ledger.sqlite"),
+        folder / "pipe",
+    ):
+        answer = bounce("backup", str(file), "--data", str(folder / "data"))
+        assert (answer.exit_code, "name another file" in answer.output) == (1, True)
+    assert (folder / "pipe").is_fifo()
 
 
 def test_what_contradicts_itself_is_neither_backed_up_nor_restored(folder: Path):
@@ -218,6 +228,11 @@ def test_the_doctor_names_what_needs_attention(folder: Path):
     assert f"none at {url} ([" in answer.output
     assert "!!" not in answer.output
     assert "copies beside it" not in answer.output
+    lost = next((data / "stores").glob("*.zarr"))
+    lost.rename(folder / lost.name)
+    answer = bounce("doctor", "--data", str(data), "--url", url)
+    assert (answer.exit_code, answer.output.count(f"missing, such as {lost.name}")) == (1, 1)
+    (folder / lost.name).rename(lost)
     backup.restore(data / "ledger.sqlite", folder / "backup.sqlite")
     files = {path: path.read_bytes() for path in data.glob("ledger*")}
     answer = bounce("doctor", "--data", str(data), "--url", url)

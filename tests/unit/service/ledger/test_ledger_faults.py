@@ -73,9 +73,28 @@ def contradict(path: Path) -> None:
         connection.execute("DELETE FROM chunks WHERE chunk = 0")
 
 
+def edited(sql: str) -> Callable[[Path], None]:
+    def harm(path: Path) -> None:
+        with closing(sqlite3.connect(path, isolation_level=None)) as connection:
+            connection.execute(sql)
+
+    return harm
+
+
 @pytest.mark.parametrize(
     ("harm", "reason"),
     [
+        (edited("UPDATE jobs SET spec = '{'"), "cannot have the spec '{'"),
+        (edited("UPDATE jobs SET state = 'zombie'"), "cannot have the state 'zombie'"),
+        (edited("UPDATE jobs SET created = 'yesterday'"), "cannot have the created 'yesterday'"),
+        (edited("UPDATE jobs SET store = '../../../etc'"), "cannot have the store"),
+        (edited("UPDATE jobs SET name = CAST(x'ff' AS TEXT)"), "not decode to UTF-8"),
+        (edited("DELETE FROM marker"), "has no mark of its stores"),
+        (edited("INSERT INTO deletions (job, store) VALUES (9, '../a.zarr')"), "deletes '../a.zarr'"),
+        (
+            edited("INSERT INTO deletions (job, store) SELECT 9, store FROM jobs"),
+            "not the store of a deleted",
+        ),
         (harm_page, "is damaged|cannot be used"),
         (empty, r"is empty \(0 bytes\) beside"),
         (cut, "is damaged|cannot be used"),

@@ -187,6 +187,7 @@ WRONG = {
         {"created_from": "2026-02-30"},
         "created_from: must be a day such as 2026-11-25, not ",
     ),
+    "seconds": ({"created_from": "-1"}, "created_from: must be a day such as 2026-11-25, not -1"),
     "text without end": ({"search": "x" * 201}, "search: must have at most 200 characters, not 201"),
 }
 
