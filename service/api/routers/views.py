@@ -146,6 +146,7 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
     """What the audit of a job says; None if workers have not computed it within so many seconds."""
     study, asked, client = dependencies.stored(service, job), audit.AuditQuery(), Asker(object())
     over = threading.Timer(seconds, client.leave)
+    over.daemon = True  # a service that stops does not wait for it
     over.start()
     while over.is_alive():
         with suppress(Pending, Busy, NotComputed):
