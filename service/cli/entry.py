@@ -13,6 +13,7 @@ import sys
 import threading
 from contextlib import suppress
 from functools import partial
+from io import TextIOWrapper
 from types import FrameType
 from typing import Final
 
@@ -28,6 +29,8 @@ def main() -> None:
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup, and by scripts beside which it runs
             signal.signal(number, _end)
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # letters that its encoding lacks
     code: object = None
     try:
         from service.cli.main import main as command
