@@ -26,9 +26,9 @@ COPY pyproject.toml README.md LICENSE ./
 COPY kernel ./kernel
 COPY worker ./worker
 COPY service ./service
-COPY bouncing_spring.py ./
+COPY bouncing_spring ./bouncing_spring
 RUN pip install --no-deps --no-build-isolation --no-compile . \
-    && rm -rf build ./*.egg-info kernel worker service \
+    && rm -rf build ./*.egg-info bouncing_spring kernel worker service \
     && site="$(python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')" \
     && python -m compileall -q "$site/kernel" "$site/worker" "$site/service"
 

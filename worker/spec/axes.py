@@ -1,6 +1,6 @@
 """Axes of a sweep: a number, a list of numbers, or a range."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -79,6 +79,9 @@ def check_kind(
     kind = kind_of(value, default)
     if isinstance(kind, str) and kind in table:
         return value
+    if isinstance(kind, str) and kind in offered:
+        rule = f"{kind!r} is a study of its own, not a sweep: submit it as a mapping or a file"
+        raise BrokenRuleError("kind", rule)
     if kind is None and "kind" not in dict(value):
         raise BrokenRuleError("kind", f"is required: {one_of(offered)}")
     rule = f"must be {one_of(offered)}, not {describe(kind)}{did_you_mean(kind, table)}"
@@ -181,12 +184,17 @@ def _number_or_forms(value: object) -> object:
     return value
 
 
-Axis = Annotated[
-    Annotated[Number, BeforeValidator(_number_or_forms), Tag("<number>")]
-    | Annotated[tuple[Number, ...], BeforeValidator(_to_tuple), AfterValidator(_increasing), Tag("<list>")]
-    | Annotated[Range, Tag(Range.tag())],
-    Discriminator(_form),
-]
+if TYPE_CHECKING:  # what becomes a number, a tuple or a range
+    Axis = float | Sequence[float] | NDArray[np.float64] | Range
+else:
+    Axis = Annotated[
+        Annotated[Number, BeforeValidator(_number_or_forms), Tag("<number>")]
+        | Annotated[
+            tuple[Number, ...], BeforeValidator(_to_tuple), AfterValidator(_increasing), Tag("<list>")
+        ]
+        | Annotated[Range, Tag(Range.tag())],
+        Discriminator(_form),
+    ]
 
 
 #: An axis after validation: a number, its values, or a range.

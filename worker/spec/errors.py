@@ -121,7 +121,8 @@ def problems_of(error: "ValidationError", fields: Mapping[str, Sequence[str]]) -
     fields: the field names of every object by its tag or name; `""` is the specification itself. Tags of
     unions look like `<range>` and are not part of a field's path.
     """
-    entries = error.errors(include_url=False)
+    # A default that depends on a wrong field is no other problem.
+    entries = [each for each in error.errors(include_url=False) if each["type"] != "default_factory_not_called"]
     problems = [_problem(entry, fields) for entry in entries[:MAX_PROBLEMS]]
     if len(entries) > MAX_PROBLEMS:
         problems.append(Problem("", f"and {len(entries) - MAX_PROBLEMS} more problems"))
@@ -168,7 +169,9 @@ def rule_of(entry: Mapping[str, Any]) -> str:
         return str(cause)
     rule = next((text for ending, text in _RULES.items() if kind.endswith(ending)), "is not allowed: {value}")
     length = len(value) if isinstance(value, str) else 0
-    shown = value if length and is_number(str(value)) else describe(value)
+    # Text of a query may be a number; that of a specification, read strictly, breaks a rule as text.
+    is_text = kind.endswith(("_type", "literal_error")) or not length or not is_number(str(value))
+    shown = describe(value) if is_text else value
     text = rule.format(value=shown, length=length, **context)
     if kind == "literal_error":
         text += did_you_mean(value, context["expected"].split("'")[1::2])

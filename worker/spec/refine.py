@@ -1,8 +1,8 @@
 """Adaptive maps: the field `refine` of a sweep from rest over gamma and omega."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from worker.spec.axes import WHOLE, Strict
 from worker.spec.errors import BrokenRuleError
@@ -39,20 +39,11 @@ class Refine(Strict):
         Literal["mode", "bouncing"],
         Field(title="compute", description="Other cells take the mode of their block."),
     ]
-    coarsest: Annotated[
-        int,
-        Field(ge=2, le=MAX_COARSEST, description="Cells across the first blocks; left out: 16 or 64."),
-        WHOLE,
-    ]
+    coarsest: Annotated[int, Field(ge=2, le=MAX_COARSEST), WHOLE] = Field(
+        default_factory=lambda fields: COARSEST[fields.get("by", "mode")],
+        description="Cells across the first blocks; left out: 16 or 64.",
+    )
     margin: Margin = False
-
-    @model_validator(mode="before")
-    @classmethod
-    def _default(cls, fields: Any) -> Any:
-        if isinstance(fields, dict) and "coarsest" not in fields:
-            by = fields.get("by")
-            return fields | {"coarsest": COARSEST.get(by if isinstance(by, str) else "", 64)}
-        return fields
 
 
 #: Tagged, so that errors name its fields and not those of the specification.

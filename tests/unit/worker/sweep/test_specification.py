@@ -137,6 +137,8 @@ RULES = [
     ({"settle": 1.5}, "settle: must be a whole number: 1 or 2, not 1.5"),
     ({"settle": True}, "settle: must be a whole number, not true"),
     ({"keep": 0}, "keep: must be at least 1, not 0"),
+    ({"keep": "100"}, "keep: must be a whole number, not text '100'"),
+    ({"protocol": {"kind": "basin"}}, "protocol.kind: 'basin' is a study of its own, not a sweep: "),
 ]
 
 

@@ -20,7 +20,7 @@ def _check_packages() -> None:
     for name in _PACKAGES:
         spec = find_spec(name)
         places = [*(spec.submodule_search_locations or (spec.origin or "",))] if spec else [""]
-        if Path(places[0]).resolve() != Path(__file__).with_name(name).resolve():
+        if Path(places[0]).resolve() != Path(__file__).resolve().parents[1] / name:
             raise ImportError(
                 f"{places[0]} hides the package {name} of bouncing-spring: rename it, or start elsewhere"
             )
@@ -32,6 +32,9 @@ from service import client as _client  # noqa: E402
 
 if TYPE_CHECKING:
     from service.client import *  # noqa: F403
+    from service.figures.catalogue import figure as figure
+    from service.local import run as run
+    from service.local import thresholds as thresholds
 
 _OTHERS: Final = {
     "figure": "service.figures.catalogue", "run": "service.local", "thresholds": "service.local",
