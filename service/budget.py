@@ -76,12 +76,13 @@ def within(
     runner: Runner,
     show: Callable[[str, float], None] = lambda _, left: None,
     clock: Callable[[], float] = time.monotonic,
+    began: float | None = None,
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does.
 
-    `show` is told what begins, and how many seconds are left.
+    `show` is told what begins, and how many seconds are left; the time began at `began`, by default now.
     """
-    began, answer = clock(), Answer()
+    began, answer = clock() if began is None else began, Answer()
     asked, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
@@ -92,7 +93,7 @@ def within(
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}", max(left, 0.0))
         now = clock()
         # The first level may take all of the time: without it there is no answer.
-        if not runner.compute(part, left - (reserved if answer.levels else 0.0)):
+        if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
         took = clock() - now
         answer.levels.append(Level(part, steps, cells(spec, steps), took))
@@ -103,10 +104,12 @@ def within(
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
         raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(asked, took):.3g}s may work")])
     left = budget - (clock() - began)
+    ending = f"no audit: less than {LEAST_AUDIT:g} s are left"
     if left >= LEAST_AUDIT:
         show("audit of the last level", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
-    show(answer.audit or "no audit: the time is over", 0.0)
+        ending = answer.audit or "no audit: the time is over"
+    show(ending, 0.0)
     return answer
 
 

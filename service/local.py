@@ -80,6 +80,7 @@ def run(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
     budget: float | None = None,
+    began: float | None = None,
 ) -> xarray.Dataset:
     """Compute a study and return its results.
 
@@ -100,6 +101,8 @@ def run(
     budget
         Seconds in which to compute the finest level of a sweep that fits, see `service.budget`. The attribute
         `audit` of the Dataset says how many of its cells a longer computation would change.
+    began
+        When that time began, by `time.monotonic`; by default now.
 
     Returns
     -------
@@ -120,7 +123,7 @@ def run(
     if store is None:
         with (
             temporary_folder("bounce-") as folder,
-            computed(spec, folder, workers=workers, progress=progress, budget=budget) as done,
+            computed(spec, folder, workers=workers, progress=progress, budget=budget, began=began) as done,
         ):
             return _opened(done.job.store_url).load().assign_attrs(done.attributes)
     target, attributes = Path(store), dict[str, str]()
@@ -128,7 +131,7 @@ def run(
         raise InvalidRequest.of("store", f"is a folder of zarr, not .{ending}: run_to_file writes files")
     if not _is_computed(target, spec):
         folder = partial_of(target)
-        with computed(spec, folder, workers=workers, progress=progress, budget=budget) as done:
+        with computed(spec, folder, workers=workers, progress=progress, budget=budget, began=began) as done:
             computed_store, attributes = Path(done.job.store_url), done.attributes
         computed_store.rename(target)
         sync(target.parent)
@@ -150,12 +153,13 @@ def run_to_file(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
     budget: float | None = None,
+    began: float | None = None,
 ) -> JobStatus:
     """Compute a study as `run` does and write it to a file, which appears once complete.
 
     Parameters
     ----------
-    spec, workers, progress, budget
+    spec, workers, progress, budget, began
         As in `run`.
     output
         Path of the file.
@@ -189,7 +193,9 @@ def run_to_file(
     else:
         query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
     with (
-        computed(parsed, settings.data, workers=workers, progress=progress, budget=budget) as done,
+        computed(
+            parsed, settings.data, workers=workers, progress=progress, budget=budget, began=began
+        ) as done,
         complete_file(target) as file,
     ):
         job, study = done.job, replace(stored(done.record, done.job), audit=done.audit)
@@ -252,9 +258,10 @@ def computed(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
     budget: float | None = None,
+    began: float | None = None,
 ) -> Iterator[Computed]:
     """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
-    began = time.monotonic()
+    began = time.monotonic() if began is None else began
     use_cache()
     parsed = from_json(body(spec))
     if budget is not None:
@@ -278,7 +285,7 @@ def computed(
                     display_line(f"expected by the table of costs: {duration(expected)}")
                 yield runner.done(parsed)
             else:
-                yield runner.within(parsed, budget - (time.monotonic() - began))
+                yield runner.within(parsed, budget, began)
         finally:
             manager.stop()
 
@@ -298,14 +305,14 @@ class _Runner:
         record = self._wait(self._manager.submit(spec).job.id, deadline)
         return Computed(record, self._manager.preparer.prepare(record))
 
-    def within(self, spec: Any, budget: float) -> Computed:
+    def within(self, spec: Any, budget: float, began: float) -> Computed:
         """The finest level that fits."""
 
         def show(text: str, left: float) -> None:
             if self._progress is True:
                 display_line(f"{text}, {left:.0f} s left" if left else text)
 
-        found = budgets.within(spec, budget, self, show)
+        found = budgets.within(spec, budget, self, show, began=began)
         assert self._last is not None
         return self._last._replace(audit=found.audit)
 

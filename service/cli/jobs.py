@@ -110,14 +110,14 @@ def run(
         raise click.BadParameter(rule, param_hint="'-o'")
     format = output_format(output, _RUN_FORMATS, format)
     specification = _specification(spec, effort)
-    if budget is not None:
-        budget = max(budget - (time.monotonic() - BEGAN), 1.0)  # the imports of this process count
+    # The imports of this process count.
+    computing: dict[str, Any] = {"workers": workers, "budget": budget, "began": BEGAN}
     try:
         if format == "zarr":
-            local.run(specification, output, workers=workers, budget=budget)
+            local.run(specification, output, **computing)
         else:
             query = {name: value for name, value in query.items() if value is not None}
-            local.run_to_file(specification, output, format, query, workers=workers, budget=budget)
+            local.run_to_file(specification, output, format, query, **computing)
     except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)
         raise

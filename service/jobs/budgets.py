@@ -86,7 +86,7 @@ class Budget:
     def run(self) -> None:
         """Compute levels until the time is over."""
         try:
-            within(self.spec, self._ends - time.monotonic(), self, self._show)
+            within(self.spec, self._seconds, self, self._show, began=self._ends - self._seconds)
         except Exception as error:  # noqa: BLE001 - the request, or who looks at the first level, gets it
             self.error = str(error)
             if not self.first.done():

@@ -122,7 +122,7 @@ def problems_of(error: "ValidationError", fields: Mapping[str, Sequence[str]]) -
     unions look like `<range>` and are not part of a field's path.
     """
     # A default that depends on a wrong field is no other problem.
-    entries = [each for each in error.errors(include_url=False) if each["type"] != "default_factory_not_called"]
+    entries = [each for each in error.errors(include_url=False) if "default_factory" not in each["type"]]
     problems = [_problem(entry, fields) for entry in entries[:MAX_PROBLEMS]]
     if len(entries) > MAX_PROBLEMS:
         problems.append(Problem("", f"and {len(entries) - MAX_PROBLEMS} more problems"))

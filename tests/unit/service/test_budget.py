@@ -60,6 +60,8 @@ def test_a_budget_too_short_for_any_level_says_what_may_work():
         SpecInvalid, match=r"was over before the first level of 48 cells was complete; 2s may work"
     ):
         within(SPEC, 1.0, runner, clock=runner.clock)
+    with pytest.raises(SpecInvalid, match="; 6s may work"):
+        within(SPEC, 2.0, runner, clock=runner.clock, began=runner.clock() - 3.0)
 
 
 def test_a_budget_is_refused_before_anything_is_computed(tmp_path: Path):
