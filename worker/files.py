@@ -34,7 +34,10 @@ def complete_file(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
-    """As `complete_file`, but whatever is at `path`, unless it is a folder, is replaced."""
+    """As `complete_file`, but whatever is at `path`, unless it is a folder, is replaced.
+
+    Errors name `path`, not the file that takes its place.
+    """
     if not path.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(path.parent))
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
@@ -42,6 +45,10 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
         with synced(partial, private=private) as file:
             yield file
         partial.replace(path)
+    except OSError as error:
+        if error.filename != str(partial):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         partial.unlink(missing_ok=True)
     sync(path.parent)

@@ -127,6 +127,6 @@ def tradeoff(output: str | None) -> None:
 
     with display_elapsed(lambda: "measured {} of {} contacts".format(*counts)):
         found = tradeoff.measure(tradeoff.SETTINGS, show)
+    click.echo(table(found, ["cost"]), err=output == "-")
     if output and format:
         write_file(output, encoded(tradeoff.VIEW, None, found, format))
-    click.echo(table(found, ["cost"]))

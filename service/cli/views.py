@@ -165,12 +165,18 @@ _COMMON: Final = ("Conventions", "title", "job", "kernel_version", "release", "c
 def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
     """A table for each variable of `rows`, then the scalars and attributes, one line each.
 
-    Leaves out what has no value: columns, scalars.
+    An axis of one value that no table has is a scalar. Leaves out what has no value: columns, scalars.
     """
     from math import isfinite
 
-    lines = [_rows(result, name) for name in rows if name in result.variables]
-    scalars = {str(name): v.values.item() for name, v in result.variables.items() if not v.dims}
+    tables = [name for name in rows if name in result.variables]
+    lines = [_rows(result, name) for name in tables]
+    fixed = [dim for dim in result.dims if all(dim not in result[name].dims for name in tables)]
+    scalars = {
+        str(name): v.values.item()
+        for name, v in result.variables.items()
+        if not v.dims or (name in fixed and v.size == 1)
+    }
     scalars |= {name: value for name, value in result.attrs.items() if name not in _COMMON}
     lines += [
         f"{name.replace('_', ' ')}  {value:.{DIGITS}g}"

@@ -111,7 +111,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     commonest = _commonest(ids, labels)
     columns: dict[str, Any] = {
         "attractor_label": [commonest[number] for number in numbers.tolist()],
-        "cells": np.bincount(ids.ravel())[numbers],
+        "cells": np.bincount(shown[there])[numbers],
     }
     events = list(_events(spec, arrays, ids, labels, rows))
     columns |= {name: [event[i] for event in events] for i, name in enumerate(_OF_EVENTS)}

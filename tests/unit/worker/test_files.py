@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.cli.options import write_file
-from worker.files import complete_file
+from worker.files import complete_file, replacing
 
 
 def files(folder: Path) -> set[str]:
@@ -50,6 +50,13 @@ def test_a_file_that_cannot_be_written_to_its_end_replaces_nothing(tmp_path: Pat
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == b"old"
     assert files(tmp_path) == {"out.nc"}
+
+
+def test_an_error_names_the_file_that_is_asked_for(tmp_path: Path):
+    (tmp_path / "out.nc").mkdir()
+    with pytest.raises(IsADirectoryError) as caught, replacing(tmp_path / "out.nc"):
+        pass
+    assert (caught.value.filename, caught.value.filename2) == (str(tmp_path / "out.nc"), None)
 
 
 @pytest.mark.parametrize("exists", [True, False])
