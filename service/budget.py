@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Protocol
 
-from worker.spec.errors import Problem, SpecInvalid
+from worker.spec.errors import Problem, SpecInvalid, describe
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 from worker.sweep.protocols import KINDS, PROTOCOLS
@@ -61,9 +61,10 @@ class Answer:
     audit: str | None = None
 
 
-def check(kind: object, budget: float) -> None:
+def check(kind: object, budget: object) -> None:
     """Raise SpecInvalid for a kind of study that has no levels, and for a budget that is no time."""
-    rule = "" if budget > 0.0 else f"must be above 0 s, not {budget:g}"
+    is_time = isinstance(budget, int | float) and budget > 0.0
+    rule = "" if is_time else f"must be seconds above 0, not {describe(budget)}"
     if kind in KINDS and kind not in PROTOCOLS:
         rule = f"is for sweeps; this study is of kind {kind}"
     if rule:

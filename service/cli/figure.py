@@ -59,6 +59,8 @@ def figure(
         raise click.UsageError("--data names the folder of a local service, --url another service: give one")
     figures = catalogue.figures(number)
     if number == "all":
+        if output == "-" or Path(output or "").suffix.removeprefix(".") in PICTURES:
+            raise click.BadParameter("must be a folder, for all figures", param_hint="'-o'")
         folder = Path(output or "figures")
         folder.mkdir(parents=True, exist_ok=True)
         targets = [str(folder / f"figure-{figure.number}.{format}") for figure in figures]

@@ -66,12 +66,18 @@ def submit(
     """
     from service.cli import output
 
+    if budget is not None and key is not None:
+        raise click.UsageError("--key is of one job, and --budget submits several: give one")
     specification = _specification(spec, effort)
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
         return
     if budget is not None:
-        click.echo(client.run(specification, budget=budget).id)
+        try:
+            click.echo(client.run(specification, budget=budget).id)
+        except SystemExit as end:  # by a signal
+            click.echo("\n".join(getattr(end, "__notes__", ())), err=True)
+            raise
         return
     job = client.submit(specification, key=key)
     click.echo(job.id)
@@ -109,6 +115,10 @@ def run(
         rule = 'must be a file: what is computed is kept beside it; "bounce diagram ID -o -" streams'
         raise click.BadParameter(rule, param_hint="'-o'")
     format = output_format(output, _RUN_FORMATS, format)
+    query = {name: value for name, value in query.items() if value is not None}
+    if query and format in ("zarr", *EXPORTS):
+        option, pictures = next(iter(query)).replace("_", "-"), ", ".join((*PICTURES, *TABLES))
+        raise click.UsageError(f"--{option} is of a diagram: -o with one of {pictures}")
     specification = _specification(spec, effort)
     # The imports of this process count.
     computing: dict[str, Any] = {"workers": workers, "budget": budget, "began": BEGAN}
@@ -116,7 +126,6 @@ def run(
         if format == "zarr":
             local.run(specification, output, **computing)
         else:
-            query = {name: value for name, value in query.items() if value is not None}
             local.run_to_file(specification, output, format, query, **computing)
     except SystemExit:  # by a signal
         click.echo(f"interrupted; the same command goes on in {local.partial_of(Path(output))}", err=True)

@@ -68,6 +68,8 @@ def command(name: str) -> click.Command:
                 alike = [f"--{other.replace('_', '-')}" for other in _parameters(of, name) if each in other]
                 hint = f"; give {' and '.join(alike)}" if alike else ""
                 raise click.UsageError(f"--{each.replace('_', '-')} is only {where}{hint}")
+        if query.get("effort") is not None and not query.get("search"):
+            raise click.UsageError("--effort is only with --search")
         from service.client import Client
 
         formats, printed = of.RESULTS[name]

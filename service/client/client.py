@@ -29,6 +29,7 @@ from service.client.transport import Transport, header_value, json_object
 from service.formats import MOST_SHARED
 from service.result_methods import SpringMethods
 from service.tokens import DEFAULT_URL
+from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -77,6 +78,8 @@ class Client(ResultReader, SpringMethods):
         *,
         http: "httpx2.Client | None" = None,
     ) -> None:
+        if timeout is None or not timeout > 0.0:
+            raise BounceError(f"timeout: must be seconds above 0, not {timeout}")
         self._transport = Transport(url, token, timeout, http)
 
     @property
@@ -159,19 +162,25 @@ class Client(ResultReader, SpringMethods):
             The time is too short for any level. Also raises as `submit` and `Job.wait`.
         """
         response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
-        first = last = Job(self._transport, json_object(response), response)
-        doing, followed = "", None
+        first = Job(self._transport, json_object(response), response)
+        try:
+            return self._finest(first, progress)
+        except (KeyboardInterrupt, SystemExit) as interrupt:
+            id = (first.view.get("budget") or {}).get("computing") or first.id
+            interrupt.add_note(f"stopped waiting; the job continues (cancel it with: bounce cancel {id})")
+            raise
+
+    def _finest(self, first: Job, progress: bool) -> Job:
+        """The last level of a budget, by the job of its first one."""
+        last, doing, followed = first, "", None
         while True:
             first._refresh_in_time()
             reached = first.view.get("budget")
             if reached is None:  # the service began anew: the level that it computed is the last one
                 return last.wait(progress)
             if progress and reached["doing"] != doing:
-                doing, left = (
-                    reached["doing"],
-                    "" if reached["over"] else f", {reached['seconds_left']} s left",
-                )
-                display_line(f"{doing}{left}")
+                doing = reached["doing"]
+                display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
             if reached["over"]:
                 break
             if reached["computing"] not in (None, followed):

@@ -96,6 +96,12 @@ class Job(ResultReader, ResultMethods, JobStatus):
         self._etag = response.headers.get("ETag") if response is not None else None
         self._retry_after = retry_after(response) if response is not None else None
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Job) and (self.id, self._transport.url) == (other.id, other._transport.url)
+
+    def __hash__(self) -> int:
+        return hash((self.id, self._transport.url))
+
     def _path(self, *parts: str) -> str:
         return "/".join(("/v1/jobs", self.id, *parts))
 

@@ -231,7 +231,7 @@ class Transport:
         return self._http.build_request(
             method,
             self.url + path,
-            params={name: value for name, value in (query or {}).items() if value is not None},
+            params={name: _text(value) for name, value in (query or {}).items() if value is not None},
             headers={**self._headers, **(headers or {})},
             **options,
         )
@@ -250,6 +250,12 @@ class Transport:
         if isinstance(error, _CONNECTION_LOST):
             return Unanswered(self.url, f"the connection broke ({reason}): repeat the request")
         return UnexpectedAnswer(f"{self.url} does not speak HTTP as expected: {reason}")
+
+
+def _text(value: Any) -> Any:
+    """A value of a query: lists, arrays of numpy too, as their values with commas."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return ",".join(map(str, value)) if isinstance(value, list | tuple) else value
 
 
 def _checked(response: httpx2.Response) -> httpx2.Response:

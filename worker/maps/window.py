@@ -4,10 +4,10 @@ import math
 from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from worker.spec.axes import WHOLE, AxisValue, Number, Range
-from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid
+from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe
 from worker.spec.refine import Margin, Refine
 from worker.spec.specification import Document
 from worker.sweep import SweepSpec
@@ -21,13 +21,21 @@ FEWEST_VALUES: Final = 129
 MAX_FINER: Final = 64
 
 
+def _pair(value: object) -> object:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise BrokenRuleError("", f"must be two numbers, the smaller first, not {describe(value)}")
+    return value
+
+
 def _increasing(ends: list[float]) -> list[float]:
     if not ends[0] < ends[1]:
         raise BrokenRuleError("", f"must be two numbers, the smaller first, not {ends[0]:g} and {ends[1]:g}")
     return ends
 
 
-Ends = Annotated[list[Number], Field(min_length=2, max_length=2), AfterValidator(_increasing)]
+Ends = Annotated[
+    list[Number], Field(min_length=2, max_length=2), AfterValidator(_increasing), BeforeValidator(_pair)
+]
 
 
 class Window(Document):

@@ -18,7 +18,15 @@ from pydantic import (
     model_validator,
 )
 
-from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, did_you_mean, one_of, problems_of
+from worker.spec.errors import (
+    BrokenRuleError,
+    Problem,
+    SpecInvalid,
+    describe,
+    did_you_mean,
+    one_of,
+    problems_of,
+)
 
 #: Range of gamma and omega, and upper bound of xi: beyond any physical experiment, well within double
 #: precision.
@@ -50,6 +58,10 @@ class Strict(BaseModel):
 
         #: As of pydantic's own: for a field it is not called, whose errors so keep their whole path.
         __init__.__pydantic_base_init__ = True
+
+        def __setattr__(self, name: str, value: object) -> None:
+            rule = f"cannot be changed: make another {type(self).__name__}"
+            raise SpecInvalid([Problem(name, rule)])
 
     @classmethod
     def tag(cls) -> str:

@@ -212,6 +212,7 @@ _RULES: Final = {
     "string_unicode": "must be text that UTF-8 can write, without lone surrogates",
     "string_too_long": "must have at most {max_length} characters, not {length}",
     "string_pattern_mismatch": "must match {pattern}, not {value}",
+    "list_type": "must be a list, not {value}",
     "tuple_type": "must be a list, not {value}",
     "model_type": "must be a group of fields, not {value}",
     "finite_number": "must be finite, not {value}",

@@ -178,6 +178,7 @@ def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(
     assert "of the cells" in done.audit(progress=False).attrs["sentence"]
     with pytest.raises(InvalidSpecification, match="budget: was over before the first level of"):
         client.run(spec | {"xi": 0.11}, budget=1e-6, progress=False)
+    assert client.job(done.id) == done != client.submit(SPEC)
     assert {job.state for job in client.jobs(search="within a budget")} == {"done"}  # nothing began
 
 
