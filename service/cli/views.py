@@ -173,12 +173,9 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
 
     tables = [name for name in rows if name in result.variables]
     lines = [_rows(result, name) for name in tables]
-    fixed = [dim for dim in result.dims if all(dim not in result[name].dims for name in tables)]
-    scalars = {
-        str(name): v.values.item()
-        for name, v in result.variables.items()
-        if not v.dims or (name in fixed and v.size == 1)
-    }
+    others = set(result.indexes).difference(*(result[name].dims for name in tables))
+    fixed = result.squeeze([dim for dim in others if result.sizes[dim] == 1])
+    scalars = {str(name): v.values.item() for name, v in fixed.variables.items() if not v.dims}
     scalars |= {name: value for name, value in result.attrs.items() if name not in _COMMON}
     lines += [
         f"{name.replace('_', ' ')}  {value:.{DIGITS}g}"

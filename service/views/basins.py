@@ -56,9 +56,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     coords = {axis: coordinate(axis, point.value) for axis, point in points.items()} | {
         "row": coordinate("row", plane.row_values, **row_attrs),
         "column": coordinate("column", plane.column_values, **column_attrs),
-        "attractor": coordinate(
-            "attractor", np.arange(1, count + 1, dtype=np.int32), long_name="attractor of the cell"
-        ),
+        "attractor": coordinate("attractor", np.arange(1, count + 1, dtype=np.int32), long_name="attractor"),
         "state": coordinate("state", np.array(STATE_FIELDS)),
     }
     attrs = {

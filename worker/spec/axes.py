@@ -18,15 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from worker.spec.errors import (
-    BrokenRuleError,
-    Problem,
-    SpecInvalid,
-    describe,
-    did_you_mean,
-    one_of,
-    problems_of,
-)
+from worker.spec.errors import BrokenRuleError, SpecInvalid, describe, did_you_mean, one_of, problems_of
 
 #: Range of gamma and omega, and upper bound of xi: beyond any physical experiment, well within double
 #: precision.
@@ -60,8 +52,7 @@ class Strict(BaseModel):
         __init__.__pydantic_base_init__ = True
 
         def __setattr__(self, name: str, value: object) -> None:
-            rule = f"cannot be changed: make another {type(self).__name__}"
-            raise SpecInvalid([Problem(name, rule)])
+            raise AttributeError(f"{name}: cannot be changed: make another {type(self).__name__}")
 
     @classmethod
     def tag(cls) -> str:

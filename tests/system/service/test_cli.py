@@ -1,6 +1,7 @@
 """The command `bounce` against a real service, in this process and as processes of its own."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -79,6 +80,13 @@ def test_help_lists_every_command_in_one_line():
         command = main.commands[name]
         command.make_parser(click.Context(command)).parse_args(words)  # the example has its options
     assert re.search(r"\d+\.\d+", bounce("--version").stdout)
+
+
+def test_a_terminal_without_greek_letters_gets_them_in_ascii():
+    command = [sys.executable, "-m", "service.cli.entry", "threshold", "--help"]
+    environment = os.environ | {"PYTHONIOENCODING": "cp1252"}
+    done = subprocess.run(command, env=environment, capture_output=True, check=True)
+    assert b"per \\u03a9." in done.stdout
 
 
 # Submitting and following
@@ -256,6 +264,10 @@ def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
         (["list", "--from", "yesterday"], 2, "must be a day such as 2026-11-25, not 'yesterday'"),
         (["trajectory", "--gamma", "much"], 2, "not a valid"),
         (["orbits", "--direction", "up"], 2, "give --omega and --xi or the ID of a job"),
+        (["threshold", "--omega", "1", "--xi", "0", "--effort", "10"], 2, "only with --search"),
+        (["submit", __file__, "--budget", "5s", "--key", "a"], 2, "give one"),
+        (["run", __file__, "-o", "a.nc", "--omega", "1"], 2, "--omega is of a diagram"),
+        (["figure", "all", "-o", "a.png"], 2, "must be a folder"),
         (["serve", "--port", "99999"], 1, "port"),
         (["serve", "--host", "nowhere.invalid", "--port", "0"], 1, "to listen on nowhere.invalid"),
     ],
