@@ -39,6 +39,7 @@ def test_one_attractor_has_one_id_in_all_cells(job: Job):
     assert found["count"].values.tolist() == [[2] * 5] * 2
     assert (found.attrs["several"], found.attrs["several_by_drops"]) == (1.0, 1.0)
     assert (found.attractor.values.tolist(), found.cells.values.tolist()) == ([1, 2], [10, 10])
+    assert job.multistability(omega=found.omega.values[0]).cells.values.tolist() == [5, 5]
     assert np.all(np.sort(found.id) == [1, 2])
     line = found.isel(omega=0)
     labels = [line.label.values[line.id.values == number].tolist() for number in (1, 2)]
