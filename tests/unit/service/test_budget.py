@@ -66,7 +66,7 @@ def test_a_budget_too_short_for_any_level_says_what_may_work():
 
 def test_a_budget_is_refused_before_anything_is_computed(tmp_path: Path):
     for spec, budget, rule in (
-        (SPEC, 0.0, "must be seconds above 0, not 0.0"),
+        (SPEC, 0.0, "must be seconds above 0, not 0"),
         (BASIN, 5.0, "is for sweeps; this study"),
     ):
         with pytest.raises(SpecInvalid, match=f"budget: {rule}"):
