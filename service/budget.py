@@ -26,6 +26,8 @@ THIRD: Final = 2.0
 END: Final = 0.02
 #: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
 LEAST_AUDIT: Final = 5.0
+#: Seconds of a budget that may be enough for a level.
+LEAST: Final = 0.5
 #: The next level begins if this many times its expected time is left.
 MARGIN: Final = 1.15
 
@@ -35,6 +37,9 @@ class Runner(Protocol):
 
     def seconds(self, spec: SweepSpec) -> float:
         """The expected time of a sweep, by the table of costs."""
+
+    def is_done(self, spec: SweepSpec) -> bool:
+        """Whether a sweep is complete already."""
 
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         """Compute a sweep, for `seconds` at most; whether it is complete."""
@@ -51,6 +56,7 @@ class Level:
     steps: Steps
     cells: int
     seconds: float  # that it took
+    measured: bool = True  # it was not complete before
 
 
 @dataclass
@@ -78,51 +84,65 @@ def within(
     show: Callable[[str, float], None] = lambda _, left: None,
     clock: Callable[[], float] = time.monotonic,
     began: float | None = None,
+    known: Steps | None = None,
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does.
 
     `show` is told what begins, and how many seconds are left; the time began at `began`, by default now.
+    `known`: a level that is complete already, perhaps.
     """
     began, answer = clock() if began is None else began, Answer()
     asked, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
-    second = SECOND * budget / runner.seconds(spec) * whole
-    steps: Steps | None = WHOLE if second >= whole else coarsest(spec)
+    by_table = whole / runner.seconds(spec)  # cells in a second
+    second = SECOND * budget * by_table
+    done = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
+    steps: Steps | None = done or (WHOLE if second >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
+        measured = not runner.is_done(part)
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}", max(left, 0.0))
         now = clock()
         # The first level may take all of the time: without it there is no answer.
         if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
         took = clock() - now
-        answer.levels.append(Level(part, steps, cells(spec, steps), took))
-        left = budget - (clock() - began) - reserved
-        steps = _finer(spec, answer.levels, second, left / MARGIN)
+        answer.levels.append(Level(part, steps, cells(spec, steps), took, measured))
+        left = (budget - (clock() - began) - reserved) / MARGIN
+        timed = [each for each in answer.levels if each.measured]
+        if not timed:  # nothing tells the speed but the table, which may be wrong by half
+            steps = finest(spec, max(second, 0.5 * left * by_table), steps)
+        else:
+            steps = _finer(spec, timed, steps, second, left)
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
-        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(asked, took):.3g}s may work")])
+        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(asked, took, LEAST):.3g}s may work")])
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s are left"
     if left >= LEAST_AUDIT:
         show("audit of the last level", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
-        ending = answer.audit or "no audit: the time is over"
+        ending = answer.audit or "no audit: it would take longer than is left"
     show(ending, 0.0)
     return answer
 
 
-def _finer(spec: SweepSpec, levels: Sequence[Level], second: float, seconds: float) -> Steps | None:
-    """The next level, within `seconds`; of about `second` cells if it is the second. None if none fits."""
+def _finer(
+    spec: SweepSpec, levels: Sequence[Level], steps: Steps, second: float, seconds: float
+) -> Steps | None:
+    """The next level after `steps`, within `seconds`, by `levels` that were timed; None if none fits.
+
+    Of about `second` cells if one was timed.
+    """
     last, whole, most = levels[-1], cells(spec, WHOLE), _affordable(levels, seconds)
     small = most
     if len(levels) == 1:
         small = min(second, SECOND_PART * whole)
     elif len(levels) == 2 and most < whole:
         small = min(most, THIRD * last.cells)
-    return finest(spec, small, last.steps) or finest(spec, most, last.steps)
+    return finest(spec, small, steps) or finest(spec, most, steps)
 
 
 def _affordable(levels: Sequence[Level], seconds: float) -> float:

@@ -34,7 +34,7 @@ from service.background import InThisProcess
 from service.client.display import display_elapsed, display_job, display_line, duration
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
-from service.errors import IllegalTransition, InvalidRequest, RunFailed, UnknownJob
+from service.errors import IllegalTransition, InvalidRequest, RunFailed, ServiceError, UnknownJob
 from service.formats import EXPORTS, PICTURES, TABLES, ExportFormat
 from service.jobs.manager import JobManager
 from service.jobs.prepare import PreparedJob
@@ -320,10 +320,17 @@ class _Runner:
         cost = self._manager.cost(spec)
         return cost.core_seconds / min(cost.workers, cost.chunks)
 
+    def is_done(self, spec: Any) -> bool:
+        return self._manager.is_done(spec)
+
     def compute(self, spec: Any, seconds: float) -> bool:
         try:
             self._last = self.done(spec, time.monotonic() + seconds)
-        except TimeoutError:
+        except (TimeoutError, ServiceError) as error:
+            if self._last is None and (fault := self._manager.fault()):
+                raise RunFailed(fault) from error
+            if self._last is None and not isinstance(error, TimeoutError):
+                raise
             return False
         return True
 
@@ -430,7 +437,8 @@ def _is_computed(target: Path, spec: Specification) -> bool:
     except stores.StoreError:
         same = False
     if not same:
-        raise FileExistsError(errno.EEXIST, "exists, and is not the store of this study", str(target))
+        rule = "exists, and is not the store of this study, but perhaps a level of it"
+        raise FileExistsError(errno.EEXIST, rule, str(target))
     return True
 
 

@@ -162,35 +162,30 @@ class Client(ResultReader, SpringMethods):
             The time is too short for any level. Also raises as `submit` and `Job.wait`.
         """
         response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
-        first = Job(self._transport, json_object(response), response)
+        last = Job(self._transport, json_object(response), response)
+        followed, doing = last.id, ""
         try:
-            return self._finest(first, progress)
+            while True:
+                last._refresh_in_time()
+                reached = last.view.get("budget")
+                if reached is None:  # the service began anew: the level that it computed is the last one
+                    return self.job(followed).wait(progress)
+                if progress and reached["doing"] != doing:
+                    doing = reached["doing"]
+                    display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
+                if reached["over"]:
+                    break
+                followed = reached["computing"] or followed
+                if followed != last.id or not last.finished:
+                    with suppress(JobCancelled, JobFailed, WaitTimeout):  # what others asked for goes on
+                        last = self.job(followed).wait(progress, timeout=reached["seconds_left"])
+                time.sleep(FIRST_DELAY)
         except (KeyboardInterrupt, SystemExit) as interrupt:
-            id = (first.view.get("budget") or {}).get("computing") or first.id
-            interrupt.add_note(f"stopped waiting; the job continues (cancel it with: bounce cancel {id})")
+            interrupt.add_note(f"stopped waiting; the budget goes on (end it with: bounce cancel {followed})")
             raise
-
-    def _finest(self, first: Job, progress: bool) -> Job:
-        """The last level of a budget, by the job of its first one."""
-        last, doing, followed = first, "", None
-        while True:
-            first._refresh_in_time()
-            reached = first.view.get("budget")
-            if reached is None:  # the service began anew: the level that it computed is the last one
-                return last.wait(progress)
-            if progress and reached["doing"] != doing:
-                doing = reached["doing"]
-                display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
-            if reached["over"]:
-                break
-            if reached["computing"] not in (None, followed):
-                followed = reached["computing"]
-                with suppress(JobCancelled, JobFailed, WaitTimeout):  # what others asked for goes on
-                    last = self.job(followed).wait(progress, timeout=reached["seconds_left"])
-            time.sleep(FIRST_DELAY)
         if reached["answer"] is None:
-            if first.state == "failed":
-                raise JobFailed(first)
+            if last.state == "failed":
+                raise JobFailed(last)
             raise InvalidSpecification.before_sending(reached["error"])
         return self.job(reached["answer"])
 

@@ -4,6 +4,7 @@ Levels are plain jobs. When the service stops, a budget ends with those that are
 done continues as any job does.
 """
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -17,9 +18,14 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
 from worker.spec.errors import SpecError
 from worker.sweep import SweepSpec
+from worker.sweep.levels import Steps
+
+log = logging.getLogger(__name__)
 
 #: Budgets that go on at a time, and those that are remembered.
 MOST, KEPT = 8, 64
+#: Two budgets of a sweep that end within these seconds are one request, repeated.
+SAME_SECONDS: Final = 1.0
 #: Seconds between two looks at a level.
 LOOK_SECONDS: Final = 0.05
 
@@ -35,24 +41,45 @@ class Budgets:
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._budgets: list[Budget] = []  # the last begun first
+        self._own = set[str]()  # jobs that nobody else asked for
 
     def begin(self, spec: Any, seconds: float, owner: str | None) -> JobRecord:
-        """The job of the first level; a budget of the same sweep that goes on is not begun again.
+        """The job of the first level; a request that is repeated joins the budget that it began.
 
         Raises SpecInvalid, Busy, and as `JobManager.submit`.
         """
         check(spec.protocol.kind, seconds)
         self.manager.check(spec)
+        ends = time.monotonic() + seconds
         with self._lock:
-            going = [budget for budget in self._budgets if not budget.over]
-            budget = next((budget for budget in going if budget.spec == spec), None)
+            alike = [budget for budget in self._budgets if budget.spec == spec]
+            budget = next(
+                (one for one in alike if not one.over and abs(one.ends - ends) < SAME_SECONDS), None
+            )
             if budget is None:
+                going = [budget for budget in self._budgets if not budget.over]
                 if len(going) >= MOST:
                     raise Busy(f"{MOST} budgets go on already, which is the limit")
-                budget = Budget(self, spec, seconds, owner)
-                self._budgets = [budget, *self._budgets][:KEPT]
+                known = next((one.steps for one in alike if one.answer), None)
+                budget = Budget(self, spec, seconds, owner, known)
+                over = [budget for budget in self._budgets if budget.over]
+                self._budgets = [budget, *going, *over][:KEPT]
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
         return budget.first.result()
+
+    def own(self, job_id: str) -> None:
+        """Note a job that a budget has begun."""
+        self._own.add(job_id)
+
+    def leave(self, job_id: str) -> None:
+        """Note that somebody else wants a job: its budget does not cancel it."""
+        self._own.discard(job_id)
+
+    def may_cancel(self, job_id: str) -> bool:
+        """Whether a job is of one budget alone."""
+        with self._lock:
+            users = [budget for budget in self._budgets if budget.computing == job_id]
+        return job_id in self._own and len(users) <= 1
 
     def of(self, job_id: str) -> "Budget | None":
         """The last budget that a job is a level of."""
@@ -67,9 +94,12 @@ class Budgets:
 class Budget:
     """A sweep within a time, and how far it is. Its thread computes levels: a `service.budget.Runner`."""
 
-    def __init__(self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None) -> None:
+    def __init__(
+        self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None, known: Steps | None
+    ) -> None:
         self._budgets, self.spec, self._owner = budgets, spec, owner
-        self._seconds, self._ends = seconds, time.monotonic() + seconds
+        self._seconds, self.ends = seconds, time.monotonic() + seconds
+        self.steps = known  # of the finest level that is done
         self.first: Future[JobRecord] = Future()
         self.levels: tuple[str, ...] = ()  # their jobs
         self.doing = ""  # in words
@@ -81,14 +111,22 @@ class Budget:
     @property
     def seconds_left(self) -> int:
         """Of its time."""
-        return 0 if self.over else max(round(self._ends - time.monotonic()), 0)
+        return 0 if self.over else max(round(self.ends - time.monotonic()), 0)
 
     def run(self) -> None:
         """Compute levels until the time is over."""
+        began = self.ends - self._seconds
         try:
-            within(self.spec, self._seconds, self, self._show, began=self._ends - self._seconds)
-        except Exception as error:  # noqa: BLE001 - the request, or who looks at the first level, gets it
-            self.error = str(error)
+            answer = within(self.spec, self._seconds, self, self._show, began=began, known=self.steps)
+            self.steps = answer.levels[-1].steps
+        except Exception as error:  # the request, or who looks at the first level, gets it
+            known = isinstance(error, SpecError | ServiceError)
+            text = str(error) if known else "it could not go on; the log says why"
+            if not known:
+                log.exception("a budget ends")
+            if self.answer is None:
+                self.error = text
+            self.doing = f"no audit: {text}"
             if not self.first.done():
                 self.first.set_exception(error)
         self.computing, self.over = None, True
@@ -100,6 +138,9 @@ class Budget:
         cost = self._budgets.manager.cost(spec)
         return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
 
+    def is_done(self, spec: SweepSpec) -> bool:
+        return self._budgets.manager.is_done(spec)
+
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         deadline = time.monotonic() + seconds
         try:
@@ -109,13 +150,15 @@ class Budget:
                 raise
             return False
         self.levels, self.computing = (*self.levels, job.id), job.id
+        if accepted:
+            self._budgets.own(job.id)
         if not self.first.done():
             self.first.set_result(job)
         record = self._ended(job, deadline)
         if record is not None and record.state is JobState.DONE:
             self.answer = job.id
             return True
-        if record is None and accepted and not self._budgets.stopping.is_set():
+        if record is None and self._budgets.may_cancel(job.id) and not self._budgets.stopping.is_set():
             self._budgets.manager.cancel(job.id)
         if record is not None and self.answer is None:
             raise RunFailed(record.error or "the first level was cancelled")

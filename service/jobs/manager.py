@@ -124,6 +124,11 @@ class JobManager:
         )
         return plan
 
+    def is_done(self, spec: Any) -> bool:
+        """Whether the results of a study are there."""
+        job = self._ledger.find(spec.job_id(KERNEL_VERSION))
+        return job is not None and job.state is JobState.DONE
+
     def cost(self, spec: Any) -> Cost:
         """The estimated cost of a study on the present workers. Raises SpecTooLarge as `submit`."""
         plan = self.check(spec)

@@ -335,12 +335,23 @@ def affordable(spec: SweepSpec, seconds: float) -> int | None:
     return None if cells < FEWEST_AFFORDED else min(cells, MOST_BY_DEFAULT)
 
 
+def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:
+    """The audit that these core-seconds suffice for, by the table, the usual one if they do; or None."""
+    usual, cells = AuditQuery(), affordable(spec, seconds)
+    if _seconds(spec, usual) <= seconds:
+        return usual
+    return None if cells is None else AuditQuery(cells=cells, followed=0)
+
+
+def _seconds(spec: SweepSpec, query: AuditQuery) -> float:
+    """Core-seconds, by the table."""
+    cells = HARD_AND_POINTS * _cells(spec, query) * reference_seconds(spec)
+    return cells + _followed(spec, query) * followed_seconds(spec)
+
+
 def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
     """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
-    cells = _cells(spec, query)
-    seconds = HARD_AND_POINTS * cells * reference_seconds(spec) + _followed(spec, query) * followed_seconds(
-        spec
-    )
+    cells, seconds = _cells(spec, query), _seconds(spec, query)
     if seconds > MAX_SECONDS:
         fitting = int(cells * MAX_SECONDS / seconds)
         rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"

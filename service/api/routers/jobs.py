@@ -77,8 +77,12 @@ def submit_job(
     if query.validate_only:
         return Response(service.manager.cost(spec).model_dump_json(), media_type="application/json")
     if query.budget is not None:
+        if idempotency_key is not None:
+            raise InvalidRequest.of("budget", "has no Idempotency-Key: a repeated request joins it anyway")
         return _submitted(Submission(service.budgets.begin(spec, query.budget, owner), accepted=True))
-    return _submitted(service.manager.submit(spec, idempotency_key, owner))
+    submission = service.manager.submit(spec, idempotency_key, owner)
+    service.budgets.leave(submission.job.id)
+    return _submitted(submission)
 
 
 _PAGE: Final = {

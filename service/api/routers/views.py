@@ -137,14 +137,22 @@ def _parts(
         kept = _computed(service, study, view.parts(study, query))
         sentence = view.compute(study, query, *kept).attrs["sentence"]
         with service.ledger.writing() as writing:
-            if writing.find(job.id) == job:
+            now = writing.find(job.id)
+            if now is not None and (now.seq, now.state, now.chunks_done) == (
+                job.seq,
+                job.state,
+                job.chunks_done,
+            ):
                 writing.keep_answer(job, view.name, asked, kept, sentence)
     return kept
 
 
 def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
-    """What the audit of a job says; None if workers have not computed it within so many seconds."""
-    study, asked, client = dependencies.stored(service, job), audit.AuditQuery(), Asker(object())
+    """What the audit of a job says; None if workers cannot compute it within so many seconds."""
+    study, client = dependencies.stored(service, job), Asker(object())
+    asked = audit.within(study.spec, seconds * max(service.manager.workers() // 2, 1))
+    if asked is None:
+        return None
     over = threading.Timer(seconds, client.leave)
     over.daemon = True  # a service that stops does not wait for it
     over.start()

@@ -26,6 +26,7 @@ class Simulated:
 
     def __init__(self, cell: float, start: float, guess: float) -> None:
         self.now, self.cell, self.start, self.guess = 0.0, cell, start, guess
+        self.done: list[SweepSpec] = []
 
     def clock(self) -> float:
         return self.now
@@ -33,7 +34,12 @@ class Simulated:
     def seconds(self, spec: SweepSpec) -> float:
         return self.guess * cells(spec, (1, 1, 1)) * self.cell
 
+    def is_done(self, spec: SweepSpec) -> bool:
+        return spec in self.done
+
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
+        if spec in self.done:
+            return True
         takes = self.start + cells(spec, (1, 1, 1)) * self.cell
         self.now += min(takes, seconds)
         return takes <= seconds
@@ -52,6 +58,16 @@ def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
     assert answer.levels[-1].steps == WHOLE or sum(level.seconds for level in answer.levels) > 0.4 * budget
     grids = [cells(level.spec, (1, 1, 1)) for level in answer.levels]
     assert grids == sorted(set(grids))
+
+
+def test_a_budget_begins_with_what_is_done():
+    runner = Simulated(cell=1e-3, start=0.1, guess=1.0)
+    first = within(SPEC, 20.0, runner, clock=runner.clock)
+    runner.done = [first.levels[-1].spec]
+    again = within(SPEC, 20.0, runner, clock=runner.clock, known=first.levels[-1].steps)
+    assert again.levels[0].spec == first.levels[-1].spec
+    runner.done.append(SPEC)
+    assert [each.steps for each in within(SPEC, 1.0, runner, clock=runner.clock).levels] == [WHOLE]
 
 
 def test_a_budget_too_short_for_any_level_says_what_may_work():
