@@ -1,29 +1,37 @@
 """Where bouncing ends on the way down by search: at low damping no list of short cycles decides it.
 
-Many starts at many Gammas below that at which rest ends. Their transients pass by cycles, stable or not: from
-their states Newton's method finds these, and the branches through them, followed, lead to stable cycles that
-no start reaches. What survives long runs and is no cycle is carried down in small steps.
+First the branches beside those of the closed form are followed. Then many starts at many Gammas below their
+lowest end, or that at which rest ends. Transients pass by cycles, stable or not: from their states Newton's
+method finds these, and the branches through them, followed, lead to stable cycles that no start reaches. What
+survives long runs and is no cycle is carried down in small steps.
 """
 
 import math
+from collections.abc import Iterator
+from fractions import Fraction
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from kernel.creep import Crept, creep, rotation, run
-from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats
+from kernel.cycles.any_contact import Followed, beside, both_ways, lies_on, repeats, seeds
 from kernel.cycles.contact_thresholds import lowest_stable, rest_ends
 from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
 from kernel.cycles.descent import Descent, cycle_of, descend, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.starts import cycles_at, start_on_cycle
+from kernel.cycles.thresholds import closed_form
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, Line, Outcome
 
-#: Gammas, from this far below where the last round found an end, relative, to this part of where rest ends.
+#: Gammas, from this far below where the last round found an end, relative, to this part of it.
 _GAMMAS, _BELOW, _LOWEST = 30, 3e-4, 0.3
 _ROUNDS: Final = 4
+#: A cycle is read so far above a fold, relative.
+_ABOVE: Final = 1e-6
+#: Branches are followed down to this part of where rest ends.
+_DEEPEST: Final = 0.01
 
 #: Plate periods, one after another, after which states of transients are taken; for which what survives is
 #: followed, and of which all starts are.
@@ -36,6 +44,8 @@ _MOST, _CARRIED = 32, 12
 _SEEDS, _PERIODS, _NEAR, _FAR = 0.1, 18, 1e-6, 0.5
 #: Points of a branch each way, and plate periods of cycles that survive.
 _POINTS, _LONGEST = 300, 24
+#: A rotation number this close to a fraction of so small a denominator is locked.
+_EXACTLY, _LOCKED = 1e-10, 64
 #: A cycle next to which an event shows a stable one has no larger multiplier.
 _CRITICAL: Final = 1.001
 
@@ -65,9 +75,10 @@ def starts_of(effort: float) -> int:
 
 
 def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0, seed: int = 0) -> Searched:
-    """The lowest Gamma at which something bounces, searched from where rest ends down to _LOWEST of it.
+    """The lowest Gamma at which something bounces.
 
-    plate: of one cell.
+    Starts lie below the lowest end that is known, where rest ends or a branch beside one of the closed form,
+    down to _LOWEST of it. plate: of one cell.
     """
     return _Search(plate, omega, xi, starts_of(effort), seed).lowest()
 
@@ -90,20 +101,32 @@ class _Search:
 
     def lowest(self) -> Searched:
         """Search below the last end until nothing is found."""
+        for point in self._known():
+            if not any(lies_on(point, line) for line in self.lines):
+                self._follow(point)
         for _ in range(_ROUNDS):
-            bound, floor = self.bound, _LOWEST * self.top
-            if not bound * (1.0 - _BELOW) > floor:
-                break
-            self._look(bound * (1.0 - np.geomspace(_BELOW, 1.0 - floor / bound, _GAMMAS)))
+            bound = self.bound
+            self._look(bound * (1.0 - np.geomspace(_BELOW, 1.0 - _LOWEST, _GAMMAS)))
             if not self.bound < bound:
                 break
         return self.end
+
+    def _known(self) -> Iterator[Point]:
+        """Cycles beside those of the closed form: stable ones, and those at folds, which may be few."""
+        for periods in range(1, _NEAR_PERIODS + 1):
+            yield from seeds(self.plate, self.omega, self.xi, periods)
+        for fold in closed_form(self.omega, self.xi).minima:
+            cell = Cell(fold.gamma * (1.0 + _ABOVE), self.omega, self.xi)
+            periods = fold.cycle.periods
+            point = beside(self.plate, start_on_cycle(cell, periods, fold.flight_time), periods)
+            if point is not None:
+                yield point
 
     def _look(self, values: Floats) -> None:
         """Starts at these Gammas: cycles beside their transients, and what survives."""
         states = [_starts(self.rng, Cell(float(x), self.omega, self.xi), self.starts) for x in values]
         gamma, state = np.repeat(values, [len(each) for each in states]), np.concatenate(states)
-        seeds = []
+        found = []
         for settle in _LOOKS:
             line = run(self.plate, gamma, self.omega, self.xi, state, settle, 8)
             left = np.flatnonzero(line.outcome != Outcome.AT_REST)
@@ -113,20 +136,20 @@ class _Search:
                 break
             gamma, state = gamma[left], line.end_state[left]
             some = self.rng.permutation(len(gamma))[: round(_SEEDS * self.starts)]
-            seeds += list(zip(gamma[some].tolist(), state[some], strict=True))
+            found += list(zip(gamma[some].tolist(), state[some], strict=True))
         else:
             line = run(self.plate, gamma, self.omega, self.xi, state, _FOLLOWED, 100)
-        for point in self._cycles(seeds):
+        for point in self._cycles(found):
             if not any(lies_on(point, line) for line in self.lines):
                 self._follow(point)
         for i in _lowest_of_each(line, gamma):
             cell = Cell(float(gamma[i]), self.omega, self.xi)
             self._down(cell, int(line.periods[i]), line.end_state[i])
 
-    def _cycles(self, seeds: list[tuple[float, Floats]]) -> list[Point]:
+    def _cycles(self, states: list[tuple[float, Floats]]) -> list[Point]:
         """The cycles that Newton's method finds beside states, each once, the shortest first."""
         points: dict[tuple[object, ...], Point] = {}
-        for gamma, state in seeds:
+        for gamma, state in states:
             for periods in range(1, _PERIODS + 1):
                 guess = read(self.plate, Cell(gamma, self.omega, self.xi), periods, state)
                 if guess is None or not _NEAR < np.abs(guess[0].equations(guess[1]).value).max() < _FAR:
@@ -142,7 +165,7 @@ class _Search:
 
     def _follow(self, point: Point) -> None:
         """The branch through a cycle, and the ends of all stable cycles on it."""
-        line = both_ways(point, (_LOWEST * self.top, self.top), _POINTS)
+        line = both_ways(point, (_DEEPEST * self.top, max(self.top, point.parameter)), _POINTS)
         self.lines.append(line)
         for event in line.events:
             mu = np.abs(event.point.multipliers()[0])
@@ -195,7 +218,9 @@ class _Search:
         what, number, error = mode or "an aperiodic motion", math.nan, math.nan
         if turn is not None:
             what, number, error = f"a torus around {cycle_of(turn.around).name}", turn.number, turn.error
-            what += f", locked to {mode}" if mode else ""
+            part = Fraction(number).limit_denominator(_LOCKED)
+            locked = f"to {mode}" if mode else str(part) if abs(number - part) < _EXACTLY else ""
+            what += f", locked {locked}" if locked else ""
         return Searched(crept.cell.gamma, what, self.starts, crept.gone, number, error)
 
 

@@ -65,7 +65,13 @@ _OF_SPRING: Final = (
     row("cause", (), "U", "what ends bouncing at down"),
     row("status", (), "U", "how down was found: closed form, continued, searched, or unresolved"),
     row("reason", (), "U", "why down is not decided"),
-    row("missed", (), "<f8", "share of all starts of a basin that a search sees with 95 %"),
+    row(
+        "missed",
+        (),
+        "<f8",
+        "share of all starts of a basin that a search sees with 95 %",
+        comment="of starts below the lowest end known, down to 0.3 of it",
+    ),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
     *ENERGY,
@@ -575,7 +581,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
                 f"bouncing lives about {periods:,.0f} plate periods {-above:.3g} below the fold, longer than "
                 f"the window of {window:,}"
             )
-        return f"another cycle than those of one bounce lives {-above:.3g} below the prediction"
+        return f"another cycle lives {-above:.3g} below the prediction"
     if prediction.cause != EQ_25:
         return (
             f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "

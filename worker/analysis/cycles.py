@@ -141,6 +141,7 @@ def follow_cells(
     is not followed again; the shortest cycles are followed first. Raises a `store.StoreError`.
     """
     lines: list[Followed] = []
+    seeds: list[Point] = []
     skipped: list[Skipped] = []
     cells = settled_cells(spec, url, (direction, xi, omega), complete)
     for settled in sorted(cells, key=lambda settled: settled.periods):
@@ -157,7 +158,10 @@ def follow_cells(
         elif len(lines) == MAX_BRANCHES:
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
-            lines.append(_branch(seed, gamma_max))
+            new = _branch(seed, gamma_max)
+            # a branch that ended early is a part of it
+            kept = [i for i, other in enumerate(seeds) if not lies_on(other, new)]
+            lines, seeds = [*(lines[i] for i in kept), new], [*(seeds[i] for i in kept), seed]
     if twice:
         lines += _doubled(lines, (RANGE[0], gamma_max), POINTS)
     return _cycles(lines, spec.micro_flight, skipped, flights=True)

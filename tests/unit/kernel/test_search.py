@@ -17,6 +17,10 @@ KNOWN = [
     (0.5155, 0.02, 10, 0.7809716836, "fold of word zsss (4,3)"),
     (0.4664, 0.02, 50, 0.7684748327, "fold of word zszsszsss (9,6)"),  # no start reaches it
     (0.5395, 0.032, 10, 0.8051293821, "fold of word ss (2,2)"),  # below the fold of (1,1) and Eq. 25
+    # stable cycles in closed form, far below rest, in ranges that are narrow
+    (1.235, 0.015, 0, 0.7058406975, "fold (1,2)"),
+    (0.27, 0.005, 0, 0.2359274293, "fold (1,1)"),
+    (0.6217, 0.005, 0, 0.0744518918, "fold (1,1)"),
 ]
 
 
