@@ -14,6 +14,7 @@ import numpy as np
 from kernel.cycles.cycles import Point, confirmed, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, branch, events_of, join_events
 from kernel.cycles.follow import POINTS, RANGE, End, Event, follow
+from kernel.cycles.segments import START
 from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
@@ -29,6 +30,11 @@ _ROUNDS: Final = 100
 _REST: Final = 0.05
 #: A cycle whose durations repeat this closely, rad, is one of fewer periods.
 _SAME: Final = 1e-6
+#: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
+_EVEN: Final = 1e-3
+_HOP: Final = 1e-2
+#: No point of a branch is further from the next.
+STEP: Final = 0.2
 #: Two cycles at one parameter are one if their flights are this close, rad; numbers of hops differ by less.
 _ALIKE: Final = 1e-5
 
@@ -113,12 +119,34 @@ def both_ways(
     seed: Point, span: tuple[float, float] = RANGE, points: int = POINTS,
     until: Callable[[Point], bool] = lambda _: False,
 ) -> Followed:  # fmt: skip
-    """The whole branch through a cycle, as far as it is followed, each way `until` a cycle."""
-    up, after = follow(seed, 1.0, points=points, span=span, until=until)
+    """The whole branch through a cycle, as far as it is followed.
+
+    Each way `until` a cycle, and up to where it becomes a shorter one gone through twice.
+    """
+    up, after = up_to_shorter(*follow(seed, 1.0, points=points, span=span, until=until))
     if len(up) > 1 and up[-1] is up[0]:
         return Followed(up, after)
-    down, before = follow(seed, -1.0, points=points, span=span, until=until)
+    down, before = up_to_shorter(*follow(seed, -1.0, points=points, span=span, until=until))
     return Followed([*down[:0:-1], *up], [*before[::-1], *after])
+
+
+def up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point], list[Event]]:
+    """What comes before the flip at which a doubled branch began: beyond, its halves change places."""
+    for k, event in enumerate(events):
+        if event.turns and is_doubled(event.point):
+            turns = (i for i, (a, b) in enumerate(pairwise(points)) if a.rising * b.rising < 0.0)
+            start = event.point.x[:START]
+            last = next((i for i in turns if np.abs(points[i].x[:START] - start).max() < STEP), len(points))
+            return [*points[: last + 1], event.point], events[:k]
+    return points, events
+
+
+def is_doubled(point: Point) -> bool:
+    """Whether a cycle is one of half its plate periods, gone through twice."""
+    flights = [time for time in point.flights if time > _HOP]
+    half, odd = divmod(len(flights), 2)
+    halves = zip(flights[:half], flights[half:], strict=False)
+    return not odd and point.cycles.periods % 2 == 0 and all(abs(a - b) < _EVEN for a, b in halves)
 
 
 def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:

@@ -2,27 +2,29 @@
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import (
+    STEP,
     Followed,
+    both_ways,
     branches,
     branches_at,
     event_record,
+    is_doubled,
     lies_on,
     passing,
     record,
+    up_to_shorter,
 )
 from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import Cycles, Point, confirmed, cycle_from
 from kernel.cycles.events import Branch, Events, Kind, join_events
 from kernel.cycles.follow import RANGE, End, Event, ahead, follow, happens
-from kernel.cycles.segments import START
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
@@ -47,11 +49,6 @@ MAX_PERIODS: Final = 16
 LOWEST: Final = 3
 POINTS: Final = 400
 
-#: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
-_EVEN: Final = 1e-3
-_HOP: Final = 1e-2
-#: No point of a branch is further from the next.
-_STEP: Final = 0.2
 
 #: Kinds of curves of a contact.
 CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
@@ -113,8 +110,13 @@ def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> l
     new: list[Followed] = []
     for flip in (event.point for line in lines for event in line.events if event.kind is Kind.FLIP):
         first = doubled(flip) if len(new) < MAX_BRANCHES else None
-        if first is not None and not any(lies_on(first, line) for line in lines + new):
-            new.append(Followed(*_up_to_shorter(*follow(first, 0.0, points=points, span=span))))
+        if first is None or any(lies_on(first, line) for line in lines + new):
+            continue
+        line = Followed(*up_to_shorter(*follow(first, 0.0, points=points, span=span)))
+        # beside the flip its two branches are too close to tell
+        middle = line.points[len(line.points) // 2]
+        if not any(lies_on(middle, other) for other in lines + new):
+            new.append(line)
     return new
 
 
@@ -158,7 +160,7 @@ def follow_cells(
         elif len(lines) == MAX_BRANCHES:
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
-            new = _branch(seed, gamma_max)
+            new = both_ways(seed, (RANGE[0], gamma_max), POINTS)
             # a branch that ended early is a part of it
             kept = [i for i, other in enumerate(seeds) if not lies_on(other, new)]
             lines, seeds = [*(lines[i] for i in kept), new], [*(seeds[i] for i in kept), seed]
@@ -235,35 +237,6 @@ def lowest_cells(
     return cells, float(bouncing.min()) if len(bouncing) else math.inf
 
 
-def _branch(seed: Point, gamma_max: float) -> Followed:
-    """The whole branch through a cycle, each way up to where it becomes a shorter one gone through twice."""
-    span = RANGE[0], gamma_max
-    up, after = _up_to_shorter(*follow(seed, 1.0, points=POINTS, span=span))
-    if len(up) > 1 and up[-1] is up[0]:
-        return Followed(up, after)
-    down, before = _up_to_shorter(*follow(seed, -1.0, points=POINTS, span=span))
-    return Followed([*down[:0:-1], *up], [*before[::-1], *after])
-
-
-def _up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point], list[Event]]:
-    """What comes before the flip at which a doubled branch began: beyond, its halves change places."""
-    for k, event in enumerate(events):
-        if event.turns and _is_doubled(event.point):
-            turns = (i for i, (a, b) in enumerate(pairwise(points)) if a.rising * b.rising < 0.0)
-            start = event.point.x[:START]
-            last = next((i for i in turns if np.abs(points[i].x[:START] - start).max() < _STEP), len(points))
-            return [*points[: last + 1], event.point], events[:k]
-    return points, events
-
-
-def _is_doubled(point: Point) -> bool:
-    """Whether a cycle is one of half its plate periods, gone through twice."""
-    flights = [time for time in point.flights if time > _HOP]
-    half, odd = divmod(len(flights), 2)
-    halves = zip(flights[:half], flights[half:], strict=False)
-    return not odd and point.cycles.periods % 2 == 0 and all(abs(a - b) < _EVEN for a, b in halves)
-
-
 def _longest_first(points: list[Point], micro_flight: float) -> Floats:
     """(n, flights) of each cycle those that count, at least one, rad; NaN beyond."""
     flights = [sorted(point.flights, reverse=True) for point in points]
@@ -290,7 +263,7 @@ def follow_curves(
         plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
         for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
             for event in line.events:
-                if event.kind not in kinds or _is_doubled(event.point):
+                if event.kind not in kinds or is_doubled(event.point):
                     continue
                 if not any(_crosses(curve, event, along, value) for curve in curves):
                     step = (span[1] - span[0]) / STEPS
@@ -332,7 +305,7 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
         if abs(value - value_a) == 0.0 or abs(b - a) < _LOCATED:
             break
         a, value_a, b = b, value, b - value * (b - a) / (value - value_a)
-        if not abs(b) < _STEP:
+        if not abs(b) < STEP:
             return None
         point = ahead(node, b)
     if point is None or not happens(kind, point):
