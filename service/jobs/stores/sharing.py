@@ -16,6 +16,7 @@ from pydantic import TypeAdapter
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, InvalidRequest
 from service.jobs.stores.adoption import adopt
+from service.jobs.stores.opening import find_unknown, id_of
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
@@ -104,6 +105,9 @@ def import_shared(
         with ledger.writing() as writing:
             writing.delete(job)
         raise InvalidRequest.of("file", _DAMAGED)
+    for other in find_unknown(ledger, settings):  # that an import which was interrupted left
+        if id_of(other) == job_id:
+            store.remove(settings.store_of(other))
     with ledger.writing() as writing:
         writing.update(job, name=given)
     return replace(job, name=given), True

@@ -44,12 +44,17 @@ def test_it_is_the_same_job_with_the_same_bytes(
     shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path]
 ):
     (page, stored), (client, folder) = shared, elsewhere
+    left = (
+        folder / "stores" / f"1000-{from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION)}.zarr"
+    )  # by an import that was interrupted
+    left.mkdir(parents=True)
     for status in (201, 200):
         answer = client.post("/v1/imports", content=page, headers=HTML)
         assert answer.status_code == status, answer.text
     job = answer.json()
     assert (job["state"], job["progress"]["percent"], job["name"]) == ("done", 100, RAMP["name"])
     assert files(store_in(folder, job["id"])) == stored
+    assert not left.exists()
     here = answer.headers["Location"]
     assert get(client, f"{here}/modes", xi=0.26, direction="up")["attrs"]["complete"]
     assert client.delete(here).status_code == 204
