@@ -100,8 +100,9 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
 
 def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Point | None:
     """The first cycle within the span on the branch through a cycle outside of it."""
-    low, high = sorted((seed.parameter, span[0] if seed.parameter < span[0] else span[1]))
-    line, _ = follow(seed, low - seed.parameter or high - seed.parameter, points=points, span=(low, high))
+    edge = span[0] if seed.parameter < span[0] else span[1]
+    low, high = sorted((seed.parameter, edge))
+    line, _ = follow(seed, edge - seed.parameter, points=points, span=(low, high))
     return line[-1] if span[0] <= line[-1].parameter <= span[1] else None
 
 

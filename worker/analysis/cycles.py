@@ -142,8 +142,7 @@ def follow_cells(
     Of flights that count, each cycle has all, the longest first. A cell whose cycle lies on an earlier branch
     is not followed again; the shortest cycles are followed first. Raises a `store.StoreError`.
     """
-    lines: list[Followed] = []
-    seeds: list[Point] = []
+    followed: list[tuple[Point, Followed]] = []  # and the cycle that each began at
     skipped: list[Skipped] = []
     cells = settled_cells(spec, url, (direction, xi, omega), complete)
     for settled in sorted(cells, key=lambda settled: settled.periods):
@@ -155,15 +154,16 @@ def follow_cells(
         seed = settled.cycle(spec)
         if seed is None:
             skipped.append(settled.skipped("no cycle was found beside its state"))
-        elif any(lies_on(seed, line) for line in lines):
+        elif any(lies_on(seed, line) for _, line in followed):
             continue
-        elif len(lines) == MAX_BRANCHES:
+        elif len(followed) == MAX_BRANCHES:
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
             new = both_ways(seed, (RANGE[0], gamma_max), POINTS)
             # a branch that ended early is a part of it
-            kept = [i for i, other in enumerate(seeds) if not lies_on(other, new)]
-            lines, seeds = [*(lines[i] for i in kept), new], [*(seeds[i] for i in kept), seed]
+            followed = [(other, line) for other, line in followed if not lies_on(other, new)]
+            followed.append((seed, new))
+    lines = [line for _, line in followed]
     if twice:
         lines += _doubled(lines, (RANGE[0], gamma_max), POINTS)
     return _cycles(lines, spec.micro_flight, skipped, flights=True)

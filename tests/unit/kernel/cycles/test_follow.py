@@ -90,3 +90,30 @@ def test_a_branch_that_goes_on_beyond_its_points_says_so():
     assert {event.kind for event in followed.events if event.kind in set(End)} == {End.CUT_OFF, End.REST}
     assert {event.kind for event in whole.events if event.kind in set(End)} == {End.REST}
     assert len(whole.points) > len(followed.points)
+
+
+@pytest.mark.parametrize(
+    ("restitution", "omega", "xi", "flip"),
+    [
+        (0.3, 0.443498, 0.048463, 1.38498624),
+        (0.416337, 0.452189, 0.040721, 1.36002595),
+        (0.069175, 0.409582, 0.168493, 1.53973949),
+        (0.079227, 0.376945, 0.191921, 1.60776476),
+    ],
+)
+def test_a_flip_between_points_with_other_numbers_of_hops(restitution, omega, xi, flip):
+    lines = branches(rigid(restitution), omega, xi, 1)
+    assert any(abs(gamma - flip) < 1e-8 for line in lines for gamma in gammas(line, FLIP))
+
+
+@pytest.mark.parametrize("omega", [1.3, 1.35, 1.4])
+def test_a_branch_far_above_where_the_search_begins(omega):
+    """From where its flights vanish to the end of the span."""
+    (line,) = branches(soft(), omega, 0.05, 1)
+    assert line.events[0].kind is End.REST
+    assert line.points[-1].parameter > 8.0
+
+
+@pytest.mark.parametrize(("plate", "omega", "xi"), [(soft(), 1.0, 0.26), (soft(adhesive=False), 0.6, 0.05)])
+def test_a_branch_is_listed_once(plate, omega, xi):
+    assert len(branches(plate, omega, xi, 1)) == 1
