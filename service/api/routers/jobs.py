@@ -188,6 +188,7 @@ def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     whose address is in `Location`.
     """
     record, accepted = service.manager.resume(job.id, owner)
+    service.budgets.leave(record.id)
     headers = {"Location": f"/v1/jobs/{record.id}"}
     notice = None if record.id == job.id else f"starts anew what job {job.id} is: {job.notice}"
     return _job_response(record, 202 if accepted else 200, headers, notice=notice)
