@@ -14,7 +14,6 @@ import numpy as np
 from kernel.cycles.cycles import Point, confirmed, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, branch, events_of, join_events
 from kernel.cycles.follow import POINTS, RANGE, End, Event, follow
-from kernel.cycles.segments import START
 from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
@@ -33,8 +32,6 @@ _SAME: Final = 1e-6
 #: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
 _EVEN: Final = 1e-3
 _HOP: Final = 1e-2
-#: No point of a branch is further from the next.
-STEP: Final = 0.2
 #: Two cycles at one parameter are one if their flights are this close, rad; numbers of hops differ by less.
 _ALIKE: Final = 1e-5
 
@@ -135,10 +132,7 @@ def up_to_shorter(points: list[Point], events: list[Event]) -> tuple[list[Point]
     """What comes before the flip at which a doubled branch began: beyond, its halves change places."""
     for k, event in enumerate(events):
         if event.turns and is_doubled(event.point):
-            turns = (i for i, (a, b) in enumerate(pairwise(points)) if a.rising * b.rising < 0.0)
-            start = event.point.x[:START]
-            last = next((i for i in turns if np.abs(points[i].x[:START] - start).max() < STEP), len(points))
-            return [*points[: last + 1], event.point], events[:k]
+            return [*points[: event.after + 1], event.point], events[:k]
     return points, events
 
 

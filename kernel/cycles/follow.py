@@ -73,6 +73,7 @@ class Event(NamedTuple):
     point: Point
     turns: bool = False  # whether the parameter turns back here
     letters: str = ""  # of a change: the segments with which the branch goes on
+    after: int = 0  # the point that it follows, of those of `follow`
 
 
 class _Stretch(NamedTuple):
@@ -103,23 +104,23 @@ def follow(
 
     for _ in range(SIGNATURES):
         stretch = _walk(point, points - len(line), leaves, origin)
+        events += _events_along(stretch.points, len(line))
         line += stretch.points
-        events += _events_along(stretch.points)
         last, after = line[-1], None
         end = _end(last)
         if end is None and stretch.broken is not None:
             after, change = _change(stretch)
-            events += change
+            events += [event._replace(after=len(line) - 1) for event in change]
             end = _end_at(last, stretch.broken) if after is None else None
         closed = last is origin and len(line) > 1
         if end is None and len(line) >= points and not (leaves(last) or closed):
             end = End.CUT_OFF
         if end is not None:
-            events.append(Event(end, last))
+            events.append(Event(end, last, after=len(line) - 1))
         if end is not None or after is None:
             return line, events
         point = after
-    return line, [*events, Event(End.CUT_OFF, line[-1])]
+    return line, [*events, Event(End.CUT_OFF, line[-1], after=len(line) - 1)]
 
 
 def _end(last: Point) -> End | None:
@@ -197,8 +198,8 @@ def _passes(last: Point, step: float, origin: Point) -> bool:
 # --- events on a stretch ------------------------------------------------------------------------------------
 
 
-def _events_along(line: list[Point]) -> Iterator[Event]:
-    """Folds, flips and Neimark-Sacker points between neighbours."""
+def _events_along(line: list[Point], before: int) -> Iterator[Event]:
+    """Folds, flips and Neimark-Sacker points between neighbours; so many points come before the line."""
     tests = np.array([point.tests() for point in line])
     with np.errstate(invalid="ignore"):
         turned = tests[:-1] * tests[1:] < 0.0
@@ -206,7 +207,7 @@ def _events_along(line: list[Point]) -> Iterator[Event]:
     for i, which in np.argwhere(turned):
         point = _root(line[i], _reach(line[i], line[i + 1]), partial(_test, int(which)))
         if point is not None and happens(_TESTS[which], point):
-            yield Event(_TESTS[which], point, _TESTS[which] is Kind.FOLD)
+            yield Event(_TESTS[which], point, _TESTS[which] is Kind.FOLD, after=before + int(i))
 
 
 def _test(which: int, point: Point) -> float:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import (
-    STEP,
     Followed,
     both_ways,
     branches,
@@ -60,6 +59,8 @@ CURVES_SECONDS: Final = 6.0
 _LEAST_STEP: Final = 0.05
 #: The secant rule: its first step along a branch, the last, and how many.
 _SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 12
+#: A zero further along a branch is another event.
+_FAR: Final = 0.2
 #: A curve passes through an event that is closer, in Gamma and rad.
 _NEAR_CURVE: Final = 1e-2
 
@@ -305,7 +306,7 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
         if abs(value - value_a) == 0.0 or abs(b - a) < _LOCATED:
             break
         a, value_a, b = b, value, b - value * (b - a) / (value - value_a)
-        if not abs(b) < STEP:
+        if not abs(b) < _FAR:
             return None
         point = ahead(node, b)
     if point is None or not happens(kind, point):
