@@ -287,6 +287,7 @@ def job_view(
     failures: Sequence[Failure] = (),
     notice: str | None = None,
     compiling: Compiling | None = None,
+    budget: BudgetView | None = None,
 ) -> JobView:
     """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.
 
@@ -304,6 +305,7 @@ def job_view(
             "spec": job.named_spec if len(job.spec) <= longest_spec else None,
             "compiling": None if compiling is None else CompilingView.model_validate(compiling),
             "choice": choice_of(job),
+            "budget": budget,
             "failures": [failure._asdict() for failure in failures],
             "links": {"self": here, **{part: f"{here}/{part}" for part in (*_PARTS, *VIEWS)}},
         }
