@@ -19,11 +19,13 @@ from kernel.params import Outcome
 from service.errors import TooLarge
 from service.pictures import (
     ATTRACTORS,
+    FLIGHT,
     OTHER_ATTRACTORS,
     PALETTE,
     SYMBOLS,
     UNDECIDED,
     dot_of,
+    draw_cells,
     edges,
     legend_beside,
 )
@@ -284,29 +286,20 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
     left, right = figure.subplots(1, 2, sharey=True)
     number = np.clip(result["count"].values + 1, 0, len(COUNTS) - 1)
-    _map(left, result, number, COUNTS)
+    sides = edges(result.gamma.values), edges(result.omega.values)  # the grid may be uneven
+    draw_cells(left, *sides, number, COUNTS)
     legend_beside(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
                          for n in np.unique(number).tolist()])  # fmt: skip
     first = result.id.values[:, :, 0]
-    _map(right, result, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
+    draw_cells(right, *sides, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
     _name_attractors(right, result.isel(attractor=np.isin(result.attractor, first)))
-    left.set_ylabel(SYMBOLS["omega"])
     several = result.attrs["several"]
     share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
+    left.set(xlabel=SYMBOLS["gamma"], ylabel=SYMBOLS["omega"])
+    right.set_xlabel(SYMBOLS["gamma"])
     left.set_title(f"attractors of a cell{share}", fontsize=11)
     right.set_title("the attractor that most drops reach", fontsize=11)
     figure.suptitle(f"{SYMBOLS['xi']} = {result.xi.item():g}  ({result.attrs['model']})", fontsize=11)
-
-
-def _map(axes: "Axes", result: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
-    """Cells in the colours of their values; the grid may be uneven."""
-    from matplotlib.colors import ListedColormap
-
-    axes.pcolormesh(
-        edges(result.gamma.values), edges(result.omega.values), values, cmap=ListedColormap(list(colours)),
-        vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
-    )  # fmt: skip
-    axes.set_xlabel(SYMBOLS["gamma"])
 
 
 def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
@@ -319,8 +312,7 @@ def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
         colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=size, markeredgewidth=0.0)
-    axes.set_xlabel(SYMBOLS["gamma"])
-    axes.set_ylabel("flight time (rad)")
+    axes.set(xlabel=SYMBOLS["gamma"], ylabel=FLIGHT)
     values = ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
     axes.set_title(f"coexisting attractors, {values}  ({result.attrs['model']})", fontsize=11)
     _name_attractors(axes, result)

@@ -396,8 +396,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     above.set_ylabel("height (plate amplitudes)")
     above.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     below.plot(periods, result.force.values, color="black")
-    below.set_ylabel(r"force ($mA\omega^2$)")
-    below.set_xlabel("plate periods")
+    below.set(xlabel="plate periods", ylabel=r"force ($mA\omega^2$)")
 
 
 VIEW: Final = View(
