@@ -90,7 +90,7 @@ def submit_job(
             raise InvalidRequest.of("budget", "has no Idempotency-Key: a repeated request joins it anyway")
         return _submitted(Submission(service.budgets.begin(spec, query.budget, owner), accepted=True))
     submission = service.manager.submit(spec, idempotency_key, owner)
-    service.budgets.leave(submission.job.id)
+    service.budgets.own.discard(submission.job.id)
     return _submitted(submission)
 
 
