@@ -57,26 +57,22 @@ class JobsQuery(Query):
     """Which jobs to list."""
 
     state: JobState | None = None
-    search: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            max_length=MAX_TEXT,
-            description="part of the name, ASCII letters in either case, or the beginning of the id",
-        ),
-    ] = None
+    search: str | None = Field(
+        None,
+        min_length=1,
+        max_length=MAX_TEXT,
+        description="part of the name, ASCII letters in either case, or the beginning of the id",
+    )
     model: Contact | None = None
     protocol: Protocol | None = None
     pinned: bool | None = None
-    created_from: Annotated[
-        Time | None, Field(description="a date or time, UTC if it names no zone; included")
-    ] = None
+    created_from: Time | None = Field(None, description="a date or time, UTC if it names no zone; included")
     created_before: Annotated[Time | None, Field(description="as created_from; not included")] = None
     order: JobOrder = JobOrder.NEWEST
     limit: Annotated[int, Field(ge=1, le=1000)] = 100
-    cursor: Annotated[
-        str | None, Field(pattern="^[0-9A-Za-z_-]{1,2000}$", description="`next` of the page before")
-    ] = None
+    cursor: str | None = Field(
+        None, pattern="^[0-9A-Za-z_-]{1,2000}$", description="`next` of the page before"
+    )
 
     @property
     def jobs(self) -> JobSearch:

@@ -76,10 +76,9 @@ class ModesQuery(Query):
     every: Every = 1
     log: Log = None
     hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
-    color: Annotated[
-        Literal["mode", "multiplier"],
-        Field(description="multiplier: the margin of stability, of a sweep that certifies cells"),
-    ] = "mode"
+    color: Literal["mode", "multiplier"] = Field(
+        "mode", description="multiplier: the margin of stability, of a sweep that certifies cells"
+    )
     hide: Hide = None
     gamma_start: Number | None = None
     gamma_stop: Number | None = None

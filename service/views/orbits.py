@@ -253,17 +253,13 @@ _OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
 class ContactQuery(Query):
     """The contact that the spring has."""
 
-    model: Annotated[
-        Literal["rigid", "soft"] | None,
-        Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
-    ] = None
-    restitution: Annotated[Annotated[Number, Field(ge=0, lt=1)] | None, Field(description="of the model")] = (
-        None
+    model: Literal["rigid", "soft"] | None = Field(
+        None, description="contact whose cycles are followed; default: the ideal plate in closed form"
     )
-    penetration: Annotated[
-        Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None,
-        Field(description="of a soft model, in plate amplitudes"),
-    ] = None
+    restitution: Annotated[Number, Field(ge=0, lt=1)] | None = Field(None, description="of the model")
+    penetration: Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None = Field(
+        None, description="of a soft model, in plate amplitudes"
+    )
     adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
 
 
@@ -274,16 +270,14 @@ class OrbitsQuery(ContactQuery):
     xi: Xi
     modes: Modes = "1-1,1-2"
     gamma_max: GammaMax = 8.0
-    points: Annotated[
-        int,
-        Field(ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"),
-    ] = 400
+    points: int = Field(
+        400, ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"
+    )
     energy: WithEnergy = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
-    along: Annotated[
-        Literal["gamma", "omega", "xi"],
-        Field(description="what varies; of a model, omega or xi too, from half to twice its value"),
-    ] = "gamma"
+    along: Literal["gamma", "omega", "xi"] = Field(
+        "gamma", description="what varies; of a model, omega or xi too, from half to twice its value"
+    )
     gamma: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(None, description="where another varies")
     doubled: WithDoubled = False
 
@@ -449,10 +443,9 @@ class CellsQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: FirstDirection = None
-    gamma_max: Annotated[
-        Annotated[Number, Field(gt=0, le=1e6)] | None,
-        Field(description="branches are cut above this Γ; default: 8, of a study of orbits its own"),
-    ] = None
+    gamma_max: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(
+        None, description="branches are cut above this Γ; default: 8, of a study of orbits its own"
+    )
     doubled: WithDoubled = False
 
 

@@ -278,10 +278,9 @@ class TrajectoryQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: FirstDirection = None
-    attractor: Annotated[
-        int | None,
-        Field(ge=1, description="of a job of basins or multistability: which attractor of the cell, from 1"),
-    ] = None
+    attractor: int | None = Field(
+        None, ge=1, description="of a job of basins or multistability: which attractor of the cell, from 1"
+    )
     periods: Annotated[int, Field(ge=1, le=1000, description="plate periods")] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES, description="per plate period")] = 200
     prove: Annotated[bool, Field(description="the cycle that the cell is on, with a proof")] = False
