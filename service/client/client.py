@@ -4,13 +4,12 @@ import re
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from datetime import datetime
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from service.client import errors
@@ -39,7 +38,7 @@ _ID_LENGTH: Final = 32
 _SHORTEST_ID: Final = 4
 
 
-class Client(ResultReader, SpringMethods):
+class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     """A client of a running service.
 
         with Client() as client:
@@ -428,12 +427,7 @@ class Client(ResultReader, SpringMethods):
         """Close the connections. Jobs continue."""
         self._transport.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __repr__(self) -> str:

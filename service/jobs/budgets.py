@@ -90,6 +90,7 @@ class Budget:
         self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None, known: Steps | None
     ) -> None:
         self._budgets, self.spec, self._owner = budgets, spec, owner
+        self.seconds, self.is_done = budgets.manager.seconds, budgets.manager.is_done
         self._seconds, self.ends = seconds, time.monotonic() + seconds
         self.steps = known  # of the finest level that is done
         self.first: Future[JobRecord] = Future()
@@ -125,13 +126,6 @@ class Budget:
 
     def _show(self, text: str, left: float) -> None:
         self.doing = text
-
-    def seconds(self, spec: SweepSpec) -> float:
-        cost = self._budgets.manager.cost(spec)
-        return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
-
-    def is_done(self, spec: SweepSpec) -> bool:
-        return self._budgets.manager.is_done(spec)
 
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         deadline = time.monotonic() + seconds
