@@ -45,7 +45,7 @@ def command(name: str) -> click.Command:
     kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.RESULTS]
 
     def run(
-        output: str | None, format: str | None, url: str, token: str | None, job_id: str | None = None,
+        client: "Client", output: str | None, format: str | None, job_id: str | None = None,
         data: str | None = None, **query: Any,
     ) -> None:  # fmt: skip
         of = kinds[-1] if job_id is None else kinds[0]
@@ -61,30 +61,27 @@ def command(name: str) -> click.Command:
                 raise click.UsageError(f"--{each.replace('_', '-')} is only {where}{hint}")
         if query.get("effort") is not None and not query.get("search"):
             raise click.UsageError("--effort is only with --search")
-        from service.client import Client
-
         formats, printed = of.RESULTS[name]
         file_format = None if output is None else options.output_format(output, formats, format)
         if data is not None and (job_id is None or file_format not in PICTURES):
             raise click.UsageError(f"--data needs the ID of a job, and -o with one of {', '.join(PICTURES)}")
-        with Client(url, token) as client:
-            job = None if job_id is None else client.job(job_id)
-            source = client if job is None else job
-            if "other" in query:
-                query["other"] = client.job(query["other"]).id
-            if output is None:
-                click.echo(table(source.result(name, **query), printed))
-            elif job is not None and data is not None:
-                options.write_file(output, _picture(job, name, data, str(file_format), query))
-            else:
-                options.write_file(output, source.result_file(name, str(file_format), **query))
+        job = None if job_id is None else client.job(job_id)
+        source = client if job is None else job
+        if "other" in query:
+            query["other"] = client.job(query["other"]).id
+        if output is None:
+            click.echo(table(source.result(name, **query), printed))
+        elif job is not None and data is not None:
+            options.write_file(output, _picture(job, name, data, str(file_format), query))
+        else:
+            options.write_file(output, source.result_file(name, str(file_format), **query))
         if job is not None:
             _warn_unless_done(job, "the result may be incomplete")
 
     texts = (cleandoc(getattr(of, name).__doc__).partition("\n\nReturns a Dataset ")[0] for of in kinds)
     text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
     every_format = dict.fromkeys(format for of in kinds for format in of.RESULTS[name][0])
-    decorated = options.service_options(run)
+    decorated = options.with_client(run)
     decorated = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
         help="File to write; - is standard output.  [default: print a table]",
