@@ -20,7 +20,6 @@ from worker.study import Array
 from worker.sweep import SweepSpec, schema
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -161,13 +160,6 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
             fontsize=11, zorder=5,
             bbox={"facecolor": "white", "edgecolor": WARNING, "linewidth": 0.6, "alpha": 0.9, "pad": 5},
         )  # fmt: skip
-
-
-def draw_legend(axes: "Axes", **options: Any) -> None:
-    """The directions of a diagram."""
-    axes.legend(
-        **{"loc": "upper left", "markerscale": 3, "handletextpad": 0.2, "frameon": False} | options
-    ).set_zorder(4)
 
 
 VIEW: Final = View(
