@@ -297,7 +297,7 @@ class _Runner:
         self, manager: JobManager, ledger: Ledger, executor: Inline, progress: bool | ProgressCallback
     ) -> None:
         self._manager, self._ledger, self._executor = manager, ledger, executor
-        self._progress = progress
+        self.seconds, self.is_done, self._progress = manager.seconds, manager.is_done, progress
         self._last: Computed | None = None
 
     def done(self, spec: Any, deadline: float = math.inf) -> Computed:
@@ -315,13 +315,6 @@ class _Runner:
         found = budgets.within(spec, budget, self, show, began=began)
         assert self._last is not None
         return self._last._replace(audit=found.audit)
-
-    def seconds(self, spec: Any) -> float:
-        cost = self._manager.cost(spec)
-        return cost.core_seconds / min(cost.workers, cost.chunks)
-
-    def is_done(self, spec: Any) -> bool:
-        return self._manager.is_done(spec)
 
     def compute(self, spec: Any, seconds: float) -> bool:
         try:

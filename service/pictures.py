@@ -6,7 +6,7 @@ Needs xarray alone, so that the client stays light; matplotlib is loaded when so
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -143,8 +143,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
     _draw_periods(axes)
     if along == "gamma":
         _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
-    axes.set_xlabel(AXES[along])
-    axes.set_ylabel(FLIGHT)
+    axes.set(xlabel=AXES[along], ylabel=FLIGHT)
 
 
 def dot_of(cells: int) -> float:
@@ -255,13 +254,11 @@ def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
     """Branches with axes: flight times over what varies, as `draw_branches`."""
     along = branches.attrs.get("along", "gamma")
     draw_branches(ax, branches, along)
-    ax.set_xlabel(AXES[along])
-    ax.set_ylabel(FLIGHT)
     fixed = ("gamma", "omega", "xi") if along != "gamma" and branches.gamma.size else ("omega", "xi")
     values = {axis: branches[axis].values.flat[0] for axis in fixed if axis != along}
     title = ", ".join(f"{SYMBOLS[axis]} = {value:g}" for axis, value in values.items())
     model = branches.attrs["model"]
-    ax.set_title(title if model == IDEAL else f"{title}: {model}")
+    ax.set(xlabel=AXES[along], ylabel=FLIGHT, title=title if model == IDEAL else f"{title}: {model}")
 
 
 def classes_of(labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> NDArray[np.int64]:
@@ -286,10 +283,8 @@ def draw_returns(ax: "Axes", diagram: xarray.Dataset) -> None:
         flights = flights[np.isfinite(flights)]
         ax.plot(flights[:-1], flights[1:], ".", color=LINES[way], markersize=5, label=_WAYS[way], zorder=3)
     ax.plot(ends, ends, color="0.7", linewidth=0.8, zorder=1)
-    ax.set(xlim=ends, ylim=ends, aspect="equal")
-    ax.set_xlabel(FLIGHT)
-    ax.set_ylabel("next flight time (rad)")
-    ax.set_title(", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES))
+    title = ", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES)
+    ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel=FLIGHT, ylabel="next flight time (rad)", title=title)
 
 
 def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
@@ -306,8 +301,7 @@ def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
             markersize=2, elinewidth=0.6, **style,
         )  # fmt: skip
     ax.axhline(0.0, color="0.6", linewidth=0.8, zorder=1)
-    ax.set_xlabel(AXES[along])
-    ax.set_ylabel(r"Lyapunov exponents $\lambda$ (per plate period)")
+    ax.set(xlabel=AXES[along], ylabel=r"Lyapunov exponents $\lambda$ (per plate period)")
     ax.set_title(", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES if axis != along))
 
 
@@ -351,20 +345,16 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
 
     Classes that the attribute `hide` names are left out.
     """
-    from matplotlib.colors import ListedColormap
-
     labels = diagram["label" if "label" in diagram else "outcome"].values
     cells = np.atleast_2d(classes_of(labels, diagram.bounces.values, diagram.periods.values))
     hidden = [CLASS_NAMES.index(name) for name in diagram.attrs.get("hide", "").split(",") if name]
     shown = np.ma.masked_where(np.isin(cells, hidden), cells)
     low, high = ax.get_xlim()
     ends = np.clip(edges(diagram[along_of(diagram)].values), low, high)
+    above: Any = {"transform": ax.get_xaxis_transform(), "clip_on": False}
     for i, strip in enumerate(shown):
-        ax.pcolormesh(
-            ends, 1.0 + STRIP * (len(shown) - i - np.array([0.8, 0.0])), strip[np.newaxis], rasterized=True,
-            cmap=ListedColormap(list(CLASSES.values())), vmin=-0.5, vmax=len(CLASSES) - 0.5,
-            transform=ax.get_xaxis_transform(), clip_on=False,
-        )  # fmt: skip
+        sides = 1.0 + STRIP * (len(shown) - i - np.array([0.8, 0.0]))
+        draw_cells(ax, ends, sides, strip[np.newaxis], CLASSES.values(), **above)
     lines: list[Any] = ax.get_legend_handles_labels()[0] if len(shown) > 1 else []
     dot = max((line.get_markersize() for line in lines), default=1.0)
     legend_beside(ax, [*lines, *_entries(shown, CLASSES)], 1.05, markerscale=LEGEND_DOT / dot)
@@ -411,14 +401,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     corners = edges(modes.gamma.values), edges(modes.omega.values)
     if "hide" in modes.attrs:
         cells = np.ma.masked_equal(cells, CLASS_NAMES.index("missing"))
-    ax.pcolormesh(
-        *corners,
-        cells,
-        rasterized=True,
-        cmap=ListedColormap(list(classes.values())),
-        vmin=-0.5,
-        vmax=len(classes) - 0.5,
-    )
+    draw_cells(ax, *corners, cells, classes.values())
     for name, axis in (("x", "gamma"), ("y", "omega")):
         if _is_geometric(modes[axis].values):
             _make_logarithmic(ax, name)
@@ -430,13 +413,22 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
         )  # fmt: skip
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=0.4, hatch=HATCH, label=DIFFER))
     legend_beside(ax, handles)
-    ax.set_xlabel(AXES["gamma"])
-    ax.set_ylabel(AXES["omega"])
+    ax.set(xlabel=AXES["gamma"], ylabel=AXES["omega"])
     if modes.sizes["omega"] == 1:
         ax.set_yticks(modes.omega.values)
     way = str(modes.direction.values) if "direction" in modes else "rest"
     ramped = "" if way == "rest" else f", {_WAYS[way]}"
     ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}{ramped}")
+
+
+def draw_cells(
+    ax: "Axes", x: NDArray[Any], y: NDArray[Any], codes: NDArray[Any], colours: Iterable[str], **options: Any
+) -> None:
+    """Cells between these sides, each in the colour of its code, which counts from 0."""
+    from matplotlib.colors import ListedColormap
+
+    shades = ListedColormap(list(colours))
+    ax.pcolormesh(x, y, codes, rasterized=True, cmap=shades, vmin=-0.5, vmax=shades.N - 0.5, **options)
 
 
 def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, **options: Any) -> None:
@@ -466,10 +458,9 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
         number = int((causes == status).sum())
         if number:
             ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
-    ax.set_xlabel(AXES["omega"])
-    ax.set_ylabel(r"threshold $\Gamma$")
+    title = f"{SYMBOLS['xi']} = {thresholds.xi.item():g}"
+    ax.set(xlabel=AXES["omega"], ylabel=r"threshold $\Gamma$", title=title)
     ax.set_ylim(thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
-    ax.set_title(f"{SYMBOLS['xi']} = {thresholds.xi.item():g}")
     ax.legend(frameon=False)
 
 

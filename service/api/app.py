@@ -56,6 +56,25 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     """
     tokens = settings.access_tokens()
     metrics = Metrics()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        """Open the ledger and compute its unfinished jobs until the application stops."""
+        try:
+            with ExitStack() as stack:
+                ledger = stack.enter_context(open_ledger(settings))
+                exports.remove_unfinished(settings.exports_path)
+                service = _service(settings, ledger, executor, background or InThisProcess(), metrics)
+                app.state.service = service
+                service.manager.start()
+                stack.callback(service.manager.stop)  # last
+                for part in (service.budgets, service.on_demand, service.small_reads, service.capacity):
+                    stack.callback(part.close)
+                yield
+        except Exception as error:
+            app.state.startup_error = error  # uvicorn only logs it
+            raise
+
     app = FastAPI(
         title=TITLE,
         summary="Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis.",
@@ -64,13 +83,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         redoc_url=None,
         generate_unique_id_function=attrgetter("name"),  # what a generated client calls it
         dependencies=[Depends(reject_repeated_parameters)],
-        lifespan=partial(
-            _lifespan,
-            settings=settings,
-            executor=executor,
-            background=background or InThisProcess(),
-            metrics=metrics,
-        ),
+        lifespan=lifespan,
     )
     for router in (health.router, docs.router):
         app.include_router(router)
@@ -85,26 +98,6 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         partial(openapi.document, app, needs_token=bool(tokens))
     )
     return app
-
-
-@asynccontextmanager
-async def _lifespan(
-    app: FastAPI, *, settings: Settings, executor: Executor, background: Background, metrics: Metrics
-) -> AsyncIterator[None]:
-    """Open the ledger and compute its unfinished jobs until the application stops."""
-    try:
-        with ExitStack() as stack:
-            ledger = stack.enter_context(open_ledger(settings))
-            exports.remove_unfinished(settings.exports_path)
-            app.state.service = service = _service(settings, ledger, executor, background, metrics)
-            service.manager.start()
-            stack.callback(service.manager.stop)  # last
-            for part in (service.budgets, service.on_demand, service.small_reads, service.capacity):
-                stack.callback(part.close)
-            yield
-    except Exception as error:
-        app.state.startup_error = error  # uvicorn only logs it
-        raise
 
 
 def _service(

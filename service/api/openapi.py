@@ -19,18 +19,6 @@ from worker.maps.window import Window
 from worker.orbits.specification import OrbitsSpec
 from worker.sweep import SweepSpec
 
-#: Models of bodies that FastAPI does not parse itself, and of problems.
-_MODELS: Final[tuple[type[BaseModel], ...]] = (
-    SweepSpec,
-    OrbitsSpec,
-    BasinSpec,
-    MultistabilitySpec,
-    Window,
-    NewName,
-    TrajectorySpec,
-    ProblemDocument,
-)
-
 #: The tags of the routers.
 _TAGS: Final = {
     "jobs": "Submit, show, list, change and follow sweeps and other studies.",
@@ -46,9 +34,9 @@ _TOKEN: Final = {
     "description": "Required by a service that has tokens (`bounce serve --token`).",
 }
 
-#: Examples of bodies, each a valid one.
-EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    "SweepSpec": {
+#: Models of bodies that FastAPI does not parse itself, each with a valid example.
+EXAMPLES: Final[dict[type[BaseModel], dict[str, Any]]] = {
+    SweepSpec: {
         "name": "up and down",
         "gamma": {"start": 1.0, "stop": 5.0, "num": 201},
         "omega": 0.5,
@@ -56,24 +44,24 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
         "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
         "model": {"kind": "rigid"},
     },
-    "OrbitsSpec": {"protocol": {"kind": "orbits"}, "omega": [0.5, 0.6], "xi": 0.26},
-    "BasinSpec": {
+    OrbitsSpec: {"protocol": {"kind": "orbits"}, "omega": [0.5, 0.6], "xi": 0.26},
+    BasinSpec: {
         "gamma": 3.6,
         "omega": 0.5,
         "xi": 0.26,
         "protocol": {"kind": "basin", "rows": 64, "columns": 64},
         "model": {"kind": "rigid"},
     },
-    "MultistabilitySpec": {
+    MultistabilitySpec: {
         "gamma": {"start": 0.9, "stop": 6.0, "num": 40},
         "omega": [0.5, 0.6],
         "xi": 0.26,
         "protocol": {"kind": "multistability"},
         "model": {"kind": "rigid"},
     },
-    "NewName": {"name": "up and down, again"},
-    "Window": {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
-    "TrajectorySpec": {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
+    NewName: {"name": "up and down, again"},
+    Window: {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
+    TrajectorySpec: {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
 }
 
 
@@ -88,11 +76,12 @@ def document(app: FastAPI, *, needs_token: bool) -> dict[str, Any]:
     )
     components = document.setdefault("components", {})
     schemas = components.setdefault("schemas", {})
-    for model in _MODELS:
+    models: list[type[BaseModel]] = [*EXAMPLES, ProblemDocument]
+    for model in models:
         schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
         schemas |= schema.pop("$defs", {}) | {model.__name__: schema}
-    for name, example in EXAMPLES.items():
-        schemas[name]["examples"] = [example]
+    for model, example in EXAMPLES.items():
+        schemas[model.__name__]["examples"] = [example]
     components["securitySchemes"] = {"token": _TOKEN}
     if needs_token:
         document["security"] = [{"token": []}]

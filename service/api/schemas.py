@@ -57,26 +57,22 @@ class JobsQuery(Query):
     """Which jobs to list."""
 
     state: JobState | None = None
-    search: Annotated[
-        str | None,
-        Field(
-            min_length=1,
-            max_length=MAX_TEXT,
-            description="part of the name, ASCII letters in either case, or the beginning of the id",
-        ),
-    ] = None
+    search: str | None = Field(
+        None,
+        min_length=1,
+        max_length=MAX_TEXT,
+        description="part of the name, ASCII letters in either case, or the beginning of the id",
+    )
     model: Contact | None = None
     protocol: Protocol | None = None
     pinned: bool | None = None
-    created_from: Annotated[
-        Time | None, Field(description="a date or time, UTC if it names no zone; included")
-    ] = None
+    created_from: Time | None = Field(None, description="a date or time, UTC if it names no zone; included")
     created_before: Annotated[Time | None, Field(description="as created_from; not included")] = None
     order: JobOrder = JobOrder.NEWEST
     limit: Annotated[int, Field(ge=1, le=1000)] = 100
-    cursor: Annotated[
-        str | None, Field(pattern="^[0-9A-Za-z_-]{1,2000}$", description="`next` of the page before")
-    ] = None
+    cursor: str | None = Field(
+        None, pattern="^[0-9A-Za-z_-]{1,2000}$", description="`next` of the page before"
+    )
 
     @property
     def jobs(self) -> JobSearch:
@@ -287,6 +283,7 @@ def job_view(
     failures: Sequence[Failure] = (),
     notice: str | None = None,
     compiling: Compiling | None = None,
+    budget: BudgetView | None = None,
 ) -> JobView:
     """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.
 
@@ -304,6 +301,7 @@ def job_view(
             "spec": job.named_spec if len(job.spec) <= longest_spec else None,
             "compiling": None if compiling is None else CompilingView.model_validate(compiling),
             "choice": choice_of(job),
+            "budget": budget,
             "failures": [failure._asdict() for failure in failures],
             "links": {"self": here, **{part: f"{here}/{part}" for part in (*_PARTS, *VIEWS)}},
         }

@@ -9,13 +9,7 @@ from urllib.parse import urlsplit
 
 import click
 
-from service.cli.options import (
-    data_option,
-    output_format,
-    token_option,
-    was_default_or_variable,
-    write_file,
-)
+from service.cli import options
 from service.formats import PICTURES
 from service.tokens import AUTO, data_folder, find_service, find_token
 
@@ -32,11 +26,11 @@ Service = tuple[str, str | None]
               help="A png, svg or pdf; for all, a folder.  [default: figure-N.png; figures]")  # fmt: skip
 @click.option("--format", type=click.Choice(PICTURES), default="png", show_default=True,
               help="Format of the files in the folder.")  # fmt: skip
-@data_option
+@options.data_option
 @click.option("--workers", type=int, help="Worker processes of the local service.  [default: 2]")
 @click.option("--url", help="Use the running service at this address instead of a local one.",
               envvar="BOUNCE_URL", show_envvar=True)  # fmt: skip
-@token_option
+@options.token_option
 def figure(
     number: str,
     output: str | None,
@@ -55,7 +49,7 @@ def figure(
     from service.client import Client
     from service.figures import catalogue
 
-    if data is not None and not was_default_or_variable("url"):
+    if data is not None and not options.was_default_or_variable("url"):
         raise click.UsageError("--data names the folder of a local service, --url another service: give one")
     figures = catalogue.figures(number)
     if number == "all":
@@ -66,13 +60,13 @@ def figure(
         targets = [str(folder / f"figure-{figure.number}.{format}") for figure in figures]
     else:
         targets = [output or f"figure-{number}.{format}"]
-        format = output_format(targets[0], PICTURES)
+        format = options.output_format(targets[0], PICTURES)
     with ExitStack() as stack:
         if url is None or data is not None:
             url, token = stack.enter_context(_service(workers, data, token))
         client = stack.enter_context(Client(url, token, timeout=COMPILE_SECONDS))
         for target, drawing in zip(targets, catalogue.make(figures, client), strict=True):
-            write_file(target, drawing.encoded(format))
+            options.write_file(target, drawing.encoded(format))
             click.echo(f"{target}\n{drawing.caption}\n", err=True)
 
 
@@ -119,7 +113,7 @@ def tradeoff(output: str | None) -> None:
     from service.views.registry import encoded
     from worker.kernel_cache import use_cache
 
-    format = output_format(output, tradeoff.VIEW.formats) if output else None
+    format = options.output_format(output, tradeoff.VIEW.formats) if output else None
     use_cache()
     counts = (0, len(tradeoff.SETTINGS))
 
@@ -131,4 +125,4 @@ def tradeoff(output: str | None) -> None:
         found = tradeoff.measure(tradeoff.SETTINGS, show)
     click.echo(table(found, ["cost"]), err=output == "-")
     if output and format:
-        write_file(output, encoded(tradeoff.VIEW, None, found, format))
+        options.write_file(output, encoded(tradeoff.VIEW, None, found, format))

@@ -142,11 +142,6 @@ token_option = click.option(
 )
 
 
-def service_options(command: Command) -> Command:
-    """The options that select the service."""
-    return url_option(token_option(command))
-
-
 def with_client(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options that select the service, and a client of it as its first argument."""
 
@@ -157,7 +152,7 @@ def with_client(function: Callable[..., None]) -> Callable[..., None]:
         with Client(url, token) as client:
             function(client, **options)
 
-    return service_options(run)
+    return url_option(token_option(run))
 
 
 def with_job(function: Callable[..., None]) -> Callable[..., None]:

@@ -13,16 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_
 
 import click
 
-from service.cli.options import (
-    Command,
-    complete_id,
-    format_option,
-    output_format,
-    service_options,
-    with_client,
-    with_job,
-    write_file,
-)
+from service.cli import options
 from service.formats import EXPORTS, PICTURES, DatasetFormat, ExportLayout
 from service.result_methods import Methods, ResultMethods, SpringMethods
 
@@ -54,7 +45,7 @@ def command(name: str) -> click.Command:
     kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.RESULTS]
 
     def run(
-        output: str | None, format: str | None, url: str, token: str | None, job_id: str | None = None,
+        client: "Client", output: str | None, format: str | None, job_id: str | None = None,
         data: str | None = None, **query: Any,
     ) -> None:  # fmt: skip
         of = kinds[-1] if job_id is None else kinds[0]
@@ -70,40 +61,39 @@ def command(name: str) -> click.Command:
                 raise click.UsageError(f"--{each.replace('_', '-')} is only {where}{hint}")
         if query.get("effort") is not None and not query.get("search"):
             raise click.UsageError("--effort is only with --search")
-        from service.client import Client
-
         formats, printed = of.RESULTS[name]
-        file_format = None if output is None else output_format(output, formats, format)
+        file_format = None if output is None else options.output_format(output, formats, format)
         if data is not None and (job_id is None or file_format not in PICTURES):
             raise click.UsageError(f"--data needs the ID of a job, and -o with one of {', '.join(PICTURES)}")
-        with Client(url, token) as client:
-            job = None if job_id is None else client.job(job_id)
-            source = client if job is None else job
-            if "other" in query:
-                query["other"] = client.job(query["other"]).id
-            if output is None:
-                click.echo(table(source.result(name, **query), printed))
-            elif job is not None and data is not None:
-                write_file(output, _picture(job, name, data, str(file_format), query))
-            else:
-                write_file(output, source.result_file(name, str(file_format), **query))
+        job = None if job_id is None else client.job(job_id)
+        source = client if job is None else job
+        if "other" in query:
+            query["other"] = client.job(query["other"]).id
+        if output is None:
+            click.echo(table(source.result(name, **query), printed))
+        elif job is not None and data is not None:
+            options.write_file(output, _picture(job, name, data, str(file_format), query))
+        else:
+            options.write_file(output, source.result_file(name, str(file_format), **query))
         if job is not None:
             _warn_unless_done(job, "the result may be incomplete")
 
     texts = (cleandoc(getattr(of, name).__doc__).partition("\n\nReturns a Dataset ")[0] for of in kinds)
     text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
     every_format = dict.fromkeys(format for of in kinds for format in of.RESULTS[name][0])
-    decorated = service_options(run)
+    decorated = options.with_client(run)
     decorated = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
         help="File to write; - is standard output.  [default: print a table]",
     )(decorated)  # fmt: skip
     if name in MEASURED:
         decorated = measured_points(decorated)
-    decorated = query_options(*reversed(kinds), name=name)(format_option(*every_format)(decorated))
+    decorated = query_options(*reversed(kinds), name=name)(options.format_option(*every_format)(decorated))
     if ResultMethods in kinds:
         metavar, required = ("ID", True) if len(kinds) == 1 else ("[ID]", False)
-        argument = click.argument("job_id", metavar=metavar, required=required, shell_complete=complete_id)
+        argument = click.argument(
+            "job_id", metavar=metavar, required=required, shell_complete=options.complete_id
+        )
         decorated = argument(decorated)
     return click.command(name, help=text)(decorated)
 
@@ -124,11 +114,11 @@ def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any
     return file.getvalue()
 
 
-def query_options(*kinds: type[Methods], name: str) -> Callable[[Command], Command]:
+def query_options(*kinds: type[Methods], name: str) -> Callable[[options.Command], options.Command]:
     """The options that are the parameters of a result."""
     parameters = {each: about for of in kinds for each, about in _parameters(of, name).items()}
 
-    def decorate(command: Command) -> Command:
+    def decorate(command: options.Command) -> options.Command:
         for each, about in reversed(parameters.items()):
             command = _option(each, about.annotation, about.default)(command)
         return command
@@ -247,14 +237,14 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
     "--layout", type=click.Choice(get_args(ExportLayout)), default="cells", show_default=True,
     help="What a row of Parquet is: a cell with lists of its flights, or each flight.",
 )  # fmt: skip
-@with_job
+@options.with_job
 def export(job: "Job", output: str, layout: ExportLayout) -> None:
     """Write all results of a job to one file.
 
     NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
     flights one row per flight. A page (.html) shows a sweep in any browser, without service and network.
     """
-    output_format(output, EXPORTS)
+    options.output_format(output, EXPORTS)
     job.export(Path(output), layout=layout)
     _warn_unless_done(job, "cells are missing")
 
@@ -262,10 +252,10 @@ def export(job: "Job", output: str, layout: ExportLayout) -> None:
 @click.command()
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True, help="File to write, .html.")
 @measured_points
-@with_job
+@options.with_job
 def share(job: "Job", output: str, data: str | None) -> None:
     """Write a sweep as a page that needs no service."""
-    output_format(output, ("html",))
+    options.output_format(output, ("html",))
     job.share(Path(output), data)
     _warn_unless_done(job, "cells are missing")
 
@@ -284,10 +274,10 @@ def share(job: "Job", output: str, data: str | None) -> None:
               help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
 @click.option("--contact", type=(float, float), metavar="ELONGATION VELOCITY",
               help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
-@format_option(*_MOTIONS)
+@options.format_option(*_MOTIONS)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
               help="File to write; - is standard output.")  # fmt: skip
-@with_client
+@options.with_client
 def trajectory(
     client: "Client",
     model: str,
@@ -303,7 +293,7 @@ def trajectory(
 
     A row of a table is a sample; lengths are in plate amplitudes.
     """
-    format = output_format(output, _MOTIONS, format)
+    format = options.output_format(output, _MOTIONS, format)
     if drop and contact:
         raise click.UsageError("give --drop or --contact, not both")
     if drop:
@@ -311,7 +301,7 @@ def trajectory(
     if contact:
         cell["start"] = {"kind": "contact", "elongation": contact[0], "velocity": contact[1]}
     cell["model"] = _without_none({"kind": model, "restitution": restitution, "penetration": penetration})
-    write_file(output, client.trajectory_file(_without_none(cell), format))
+    options.write_file(output, client.trajectory_file(_without_none(cell), format))
 
 
 #: A trajectory of a cell replaces that of a job.

@@ -4,24 +4,16 @@ import re
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from datetime import datetime
 from itertools import islice
 from os import PathLike
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
+from service.client import errors
 from service.client.display import PartsCallback, display_line, display_parts
-from service.client.errors import (
-    InvalidSpecification,
-    JobCancelled,
-    JobFailed,
-    NotFound,
-    UnexpectedAnswer,
-    WaitTimeout,
-)
 from service.client.job import FIRST_DELAY, Job, ResultReader, raise_unless_done, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
@@ -46,7 +38,7 @@ _ID_LENGTH: Final = 32
 _SHORTEST_ID: Final = 4
 
 
-class Client(ResultReader, SpringMethods):
+class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     """A client of a running service.
 
         with Client() as client:
@@ -177,7 +169,9 @@ class Client(ResultReader, SpringMethods):
                     break
                 followed = reached["computing"] or followed
                 if followed != last.id or not last.finished:
-                    with suppress(JobCancelled, JobFailed, WaitTimeout):  # what others asked for goes on
+                    with suppress(
+                        errors.JobCancelled, errors.JobFailed, errors.WaitTimeout
+                    ):  # what others asked for goes on
                         last = self.job(followed).wait(progress, timeout=reached["seconds_left"])
                 time.sleep(FIRST_DELAY)
         except (KeyboardInterrupt, SystemExit) as interrupt:
@@ -185,8 +179,8 @@ class Client(ResultReader, SpringMethods):
             raise
         if reached["answer"] is None:
             if last.state == "failed":
-                raise JobFailed(last)
-            raise InvalidSpecification.before_sending(reached["error"])
+                raise errors.JobFailed(last)
+            raise errors.InvalidSpecification.before_sending(reached["error"])
         return self.job(reached["answer"])
 
     def estimate(self, spec: Specification) -> Estimate:
@@ -196,7 +190,7 @@ class Client(ResultReader, SpringMethods):
         try:
             return Estimate(**{name: answer[name] for name in Estimate._fields if name in answer})
         except TypeError as error:
-            raise UnexpectedAnswer(f"the answer is not an estimate: {error!r}") from error
+            raise errors.UnexpectedAnswer(f"the answer is not an estimate: {error!r}") from error
 
     def job(self, id: str) -> Job:
         """Find a job.
@@ -274,7 +268,7 @@ class Client(ResultReader, SpringMethods):
         while True:
             page = json_object(self._transport.get("/v1/jobs", query))
             if not isinstance(page.get("jobs"), list):
-                raise UnexpectedAnswer("the answer is not a list of jobs")
+                raise errors.UnexpectedAnswer("the answer is not a list of jobs")
             for view in page["jobs"]:
                 yield Job(self._transport, view)
             if not page.get("next"):
@@ -433,20 +427,15 @@ class Client(ResultReader, SpringMethods):
         """Close the connections. Jobs continue."""
         self._transport.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
         return f"<Client {self.url}>"
 
 
-def _not_found(detail: str) -> NotFound:
-    return NotFound(Problem(status=404, title="Not Found", detail=detail))
+def _not_found(detail: str) -> errors.NotFound:
+    return errors.NotFound(Problem(status=404, title="Not Found", detail=detail))
 
 
 def _time(time: datetime | str | None) -> str | None:

@@ -14,20 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import xarray
 
+from service import pictures
 from service.client.errors import UnexpectedAnswer
-from service.pictures import (
-    AXES,
-    SYMBOLS,
-    along_of,
-    draw_branches,
-    draw_cycles,
-    draw_diagram,
-    draw_exponents,
-    draw_measured,
-    draw_modes,
-    draw_returns,
-    draw_thresholds,
-)
 from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
@@ -144,35 +132,38 @@ class BounceAccessor:
         from service.client.measured import measured
 
         dataset = _selected(self._dataset, where)
-        at = {axis: dataset[axis].item() for axis in set(AXES) & set(dataset.coords) - set(dataset.dims)}
+        at = {
+            axis: dataset[axis].item()
+            for axis in set(pictures.AXES) & set(dataset.coords) - set(dataset.dims)
+        }
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:
-            draw_thresholds(ax, dataset)
+            pictures.draw_thresholds(ax, dataset)
             if data is not None:
                 points = measured(data, "omega", "gamma", at)
                 computed = [dataset[name].values for name in ("up", "down", "analytic", "predicted_down")]
-                draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
+                pictures.draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
             return ax
         if "branch" in dataset.dims:
-            draw_cycles(ax, dataset)
+            pictures.draw_cycles(ax, dataset)
             return ax
         if "outcome" not in dataset:
             raise BounceError("plot: is of a diagram, a map of modes, thresholds, branches, or a whole sweep")
         dims = set(dataset.outcome.dims)
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
-            draw_diagram(ax, dataset)
-            fixed = [axis for axis in AXES if axis != along_of(dataset)]
-            ax.set_title(", ".join(f"{SYMBOLS[axis]} = {dataset[axis].item():g}" for axis in fixed))
+            pictures.draw_diagram(ax, dataset)
+            fixed = [axis for axis in pictures.AXES if axis != pictures.along_of(dataset)]
+            ax.set_title(", ".join(f"{pictures.SYMBOLS[axis]} = {dataset[axis].item():g}" for axis in fixed))
             if branches is not None:
-                draw_branches(ax, branches)
+                pictures.draw_branches(ax, branches)
             if data is not None:
-                along = along_of(dataset)
+                along = pictures.along_of(dataset)
                 flights = dataset.flight_time.transpose(along, ...).values
                 points = measured(data, along, "flight_time", at, frequency)
-                draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
+                pictures.draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
                 return ax
         elif dims == {"gamma", "omega"}:
-            draw_modes(ax, dataset.transpose("omega", "gamma", ...))
+            pictures.draw_modes(ax, dataset.transpose("omega", "gamma", ...))
         else:
             several = ", ".join(f"{dim} ({dataset.sizes[dim]} values)" for dim in dataset.outcome.dims)
             raise BounceError(f"plot: a line, or a plane of gamma and omega; select of {several}")
@@ -183,7 +174,7 @@ class BounceAccessor:
     def plot_returns(self, *, ax: "Axes | None" = None) -> "Axes":
         """Plot each flight of a diagram of one cell over the one before."""
         ax = ax if ax is not None else _new_axes()
-        draw_returns(ax, self._dataset.squeeze(along_of(self._dataset)))
+        pictures.draw_returns(ax, self._dataset.squeeze(pictures.along_of(self._dataset)))
         return ax
 
     def plot_exponents(self, *, ax: "Axes | None" = None) -> "Axes":
@@ -191,7 +182,7 @@ class BounceAccessor:
         if "lyapunov" not in self._dataset:
             raise BounceError("exponents: the sweep has none; submit it with exponents")
         ax = ax if ax is not None else _new_axes()
-        draw_exponents(ax, self._dataset)
+        pictures.draw_exponents(ax, self._dataset)
         return ax
 
 
@@ -201,7 +192,7 @@ xarray.register_dataset_accessor("bounce")(BounceAccessor)  # type: ignore[no-un
 def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.Dataset:
     """The part of a Dataset at the nearest grid values, of a sweep without axes of one value."""
     for axis, value in where.items():
-        if axis not in (*AXES, "direction"):
+        if axis not in (*pictures.AXES, "direction"):
             raise BounceError(f"plot: {axis} is no axis; the axes are gamma, omega, xi and direction")
         if axis not in dataset.dims:
             raise BounceError(f"plot: {axis} is selected already, or is no axis of these results")
@@ -209,9 +200,9 @@ def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.
             ways = ", ".join(map(str, dataset.direction.values))
             raise BounceError(f"plot: direction must be one of {ways}, not {value!r:.40}")
         dataset = dataset.sel({axis: value}, method=None if axis == "direction" else "nearest")
-    if "flight_time" not in dataset or len(set(AXES) & set(dataset.dims)) < 2:
+    if "flight_time" not in dataset or len(set(pictures.AXES) & set(dataset.dims)) < 2:
         return dataset
-    return dataset.squeeze([dim for dim in (*AXES, "direction") if dataset.sizes.get(dim) == 1])
+    return dataset.squeeze([dim for dim in (*pictures.AXES, "direction") if dataset.sizes.get(dim) == 1])
 
 
 def _new_axes() -> "Axes":

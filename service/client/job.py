@@ -8,15 +8,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
+from service.client import errors
 from service.client.display import display_job, job_html, summary
-from service.client.errors import (
-    Busy,
-    JobCancelled,
-    JobFailed,
-    ServiceUnreachable,
-    UnexpectedAnswer,
-    WaitTimeout,
-)
 from service.client.models import JobStatus
 from service.client.specification import body
 from service.client.transport import Transport, json_object, retry_after
@@ -92,7 +85,9 @@ class Job(ResultReader, ResultMethods, JobStatus):
         try:
             self._update(view)
         except (KeyError, TypeError) as error:
-            raise UnexpectedAnswer(f"the answer of {self._transport.url} does not describe a job") from error
+            raise errors.UnexpectedAnswer(
+                f"the answer of {self._transport.url} does not describe a job"
+            ) from error
         self._etag = response.headers.get("ETag") if response is not None else None
         self._retry_after = retry_after(response) if response is not None else None
 
@@ -373,7 +368,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
                 self.id, self._etag = str(self.replaced_by), None
             try:
                 self.refresh()
-            except (ServiceUnreachable, Busy):
+            except (errors.ServiceUnreachable, errors.Busy):
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(1.0)
@@ -401,9 +396,9 @@ def _length(axis: object) -> int:
 def raise_unless_done(job: JobStatus) -> None:
     """Raise JobFailed or JobCancelled for a finished job that is not done."""
     if job.state == "failed":
-        raise JobFailed(job)
+        raise errors.JobFailed(job)
     if job.state == "cancelled":
-        raise JobCancelled(job)
+        raise errors.JobCancelled(job)
 
 
 def until_ended(
@@ -425,7 +420,7 @@ def until_ended(
         if job.finished:
             yield job
         elif time.monotonic() >= deadline:
-            raise WaitTimeout(job, timeout or 0.0)
+            raise errors.WaitTimeout(job, timeout or 0.0)
         else:
             asked = job._retry_after
             pause = delay if asked is None else min(asked, LONGEST_DELAY)

@@ -27,7 +27,6 @@ from service.presets import (
     SHORT_SETTLE,
     SOFT,
 )
-from service.views.diagram import draw_legend
 
 #: Rest length of the drawn spring of Fig. 2, in plate amplitudes; the motion does not depend on it.
 LENGTH: Final = 1.6
@@ -46,7 +45,9 @@ def figure_2(client: Client, rest: Job, ramped: Job) -> Drawing:
         axes = above.subplots()
         draw_diagram(axes, both)
         # Between the marks of (b) and (c), above all flights.
-        draw_legend(axes, bbox_to_anchor=(2.32, 1.0), bbox_transform=axes.get_xaxis_transform())
+        between: Any = {"bbox_to_anchor": (2.32, 1.0), "bbox_transform": axes.get_xaxis_transform()}
+        legend = axes.legend(loc="upper left", markerscale=3, handletextpad=0.2, frameon=False, **between)
+        legend.set_zorder(4)
         axes.set_xlabel(SYMBOLS["gamma"])
         panels = below.subplots(2, 2, sharex=True, sharey=True)
         for letter, (gamma, motion), panel in zip("abcd", motions.items(), panels.flat, strict=True):

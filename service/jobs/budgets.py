@@ -41,7 +41,7 @@ class Budgets:
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._budgets: list[Budget] = []  # the last begun first
-        self._own = set[str]()  # jobs that nobody else asked for
+        self.own = set[str]()  # jobs that nobody else asked for: the others are not cancelled
 
     def begin(self, spec: Any, seconds: float, owner: str | None) -> JobRecord:
         """The job of the first level; a request that is repeated joins the budget that it began.
@@ -67,19 +67,11 @@ class Budgets:
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
         return budget.first.result()
 
-    def own(self, job_id: str) -> None:
-        """Note a job that a budget has begun."""
-        self._own.add(job_id)
-
-    def leave(self, job_id: str) -> None:
-        """Note that somebody else wants a job: its budget does not cancel it."""
-        self._own.discard(job_id)
-
     def may_cancel(self, job_id: str) -> bool:
         """Whether a job is of one budget alone."""
         with self._lock:
             users = [budget for budget in self._budgets if budget.computing == job_id]
-        return job_id in self._own and len(users) <= 1
+        return job_id in self.own and len(users) <= 1
 
     def of(self, job_id: str) -> "Budget | None":
         """The last budget that a job is a level of."""
@@ -98,6 +90,7 @@ class Budget:
         self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None, known: Steps | None
     ) -> None:
         self._budgets, self.spec, self._owner = budgets, spec, owner
+        self.seconds, self.is_done = budgets.manager.seconds, budgets.manager.is_done
         self._seconds, self.ends = seconds, time.monotonic() + seconds
         self.steps = known  # of the finest level that is done
         self.first: Future[JobRecord] = Future()
@@ -134,13 +127,6 @@ class Budget:
     def _show(self, text: str, left: float) -> None:
         self.doing = text
 
-    def seconds(self, spec: SweepSpec) -> float:
-        cost = self._budgets.manager.cost(spec)
-        return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
-
-    def is_done(self, spec: SweepSpec) -> bool:
-        return self._budgets.manager.is_done(spec)
-
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         deadline = time.monotonic() + seconds
         try:
@@ -151,7 +137,7 @@ class Budget:
             return False
         self.levels, self.computing = (*self.levels, job.id), job.id
         if accepted:
-            self._budgets.own(job.id)
+            self._budgets.own.add(job.id)
         if not self.first.done():
             self.first.set_result(job)
         record = self._ended(job, deadline)

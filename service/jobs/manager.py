@@ -137,6 +137,11 @@ class JobManager:
         cost = self.preparer.cost(spec, plan, measured)
         return cost.model_copy(update={"workers": self.workers()})
 
+    def seconds(self, spec: Any) -> float:
+        """The expected time of a study on the present workers. Raises as `cost`."""
+        cost = self.cost(spec)
+        return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
+
     def workers(self) -> int:
         """The number of tasks that run at once; may be a second old."""
         return self._executor.workers()

@@ -197,16 +197,6 @@ class JobRun:
         """Whether there is a chunk to submit now or later."""
         return not self.stopped and self.queue.ready > 0
 
-    def add_in_flight(self, chunk: int, future: "Future[ChunkReport]") -> None:
-        """Note that the executor has taken a chunk."""
-        self.in_flight[chunk] = future
-        self.begun.add(chunk)
-
-    def remove_in_flight(self, chunk: int) -> None:
-        """Note that a chunk has come back from the executor, with or without a report."""
-        del self.in_flight[chunk]
-        self.turns.pop(chunk, None)
-
     def add_slice(self, seconds: float) -> None:
         """Note the time of a slice after which a chunk paused."""
         self._paused_seconds += seconds

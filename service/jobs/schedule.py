@@ -3,7 +3,10 @@
 import heapq
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple, TypeAlias
+
+if TYPE_CHECKING:
+    from service.jobs.run import JobRun
 
 #: The share of the workers' time for all jobs in turn; the rest goes to the job with the least left.
 ROTATION_SHARE: Final = 0.25
@@ -13,39 +16,21 @@ MAX_IN_FLIGHT: Final = 64
 MAX_TIMES_IN_FLIGHT: Final = 4
 
 
-class Job(Protocol):
-    """What decides when a job gets a place."""
-
-    @property
-    def id(self) -> str: ...
-    @property
-    def seq(self) -> int: ...  # numbers jobs in the order they were accepted
-    @property
-    def chunk_seconds(self) -> float: ...  # core-seconds of a chunk
-    @property
-    def remaining_seconds(self) -> float: ...  # core-seconds of the remaining chunks
-    @property
-    def in_flight(self) -> Collection[int]: ...  # chunks at the executor
-    @property
-    def turns(self) -> Collection[int]: ...  # those of them that are turns
-    @property
-    def may_submit(self) -> bool: ...  # a chunk, now
-    @property
-    def is_idle(self) -> bool: ...  # so that it can leave memory
-
-
 @dataclass(frozen=True)
 class Waiting:
-    """A job that is not in memory."""
+    """What decides when a job that is not in memory gets a place; a `JobRun` has the same."""
 
     id: str
-    seq: int
-    chunk_seconds: float
-    remaining_seconds: float
+    seq: int  # numbers jobs in the order they were accepted
+    chunk_seconds: float  # core-seconds of a chunk
+    remaining_seconds: float  # core-seconds of the remaining chunks
     in_flight: ClassVar[Collection[int]] = ()
     turns: ClassVar[Collection[int]] = ()
     may_submit: ClassVar[bool] = True
     is_idle: ClassVar[bool] = False
+
+
+Job: TypeAlias = "JobRun | Waiting"
 
 
 class Next(NamedTuple):
@@ -53,7 +38,7 @@ class Next(NamedTuple):
 
     job: Job
     is_turn: bool
-    leaving: Job | None = None  # an idle job that leaves memory first
+    leaving: "Job | None" = None  # an idle job that leaves memory first
 
 
 def by_remaining_work(job: Job) -> tuple[float, int]:

@@ -221,8 +221,8 @@ class Supervisor:
             seconds = report.seconds - report.paused_seconds
         else:
             seconds = min(run.chunk_seconds, self._schedule.rotation.slice_seconds)
-        self._schedule.count(seconds, run.turns.get(chunk))
-        run.remove_in_flight(chunk)
+        self._schedule.count(seconds, run.turns.pop(chunk, None))
+        del run.in_flight[chunk]
         if report is not None:
             run.unsaved_reports.append(report)
             self.metrics.add_computed(report.seconds)
@@ -458,7 +458,8 @@ class Supervisor:
             run.refused = True
             self._on_error(run, chunk.index, error)
             return
-        run.add_in_flight(chunk.index, future)
+        run.in_flight[chunk.index] = future
+        run.begun.add(chunk.index)
         if is_turn:
             run.turns[chunk.index] = run.chunk_seconds
             self._schedule.rotation.begin_turn(run.job.id, run.chunk_seconds)

@@ -13,17 +13,7 @@ from service.errors import InvalidRequest
 from service.views.selection import Stored, attractor_label, check_kernel
 from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
-from worker.analysis.audit import (
-    FIELDS,
-    MAX_SECONDS,
-    PARTS,
-    SETS,
-    SIZES,
-    approximated,
-    followed_seconds,
-    look,
-    reference_seconds,
-)
+from worker.analysis import audit
 from worker.analysis.bisection import BOUNCING
 from worker.analysis.intervals import ENDLESS, bounds, covered
 from worker.sweep import SweepSpec
@@ -114,7 +104,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
     mode.
     """
-    table, sizes = _table(parts), {name: parts[0][name] for name in SIZES}
+    table, sizes = _table(parts), {name: parts[0][name] for name in audit.SIZES}
     answers = answers_of(study, query, table, sizes)
     certified = sizes["certified"] / sizes["cells"]
     both = len(answers) > 1
@@ -122,7 +112,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     by_field = np.moveaxis(numbers if both else numbers[0], -1, 0)
     asked = dict(zip(_Answer._fields, by_field, strict=True))
     matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
-    own = table["set"] == SETS.index("numerics")
+    own = table["set"] == audit.SETS.index("numerics")
     np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
     of_sweep = {"outcomes": matrix, "cells": sizes["cells"], "certified": certified}
     listed = _listed(study.spec, table, query.tolerance)
@@ -147,7 +137,7 @@ def answers_of(
     table: FIELDS of the drawn cells. sizes: SIZES of the sweep.
     """
     drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
-             for i, name in enumerate(SETS)}  # fmt: skip
+             for i, name in enumerate(audit.SETS)}  # fmt: skip
     labelled = bool(study.spec.exponents)
     answers = {
         "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
@@ -184,7 +174,9 @@ _Table = Mapping[str, Any]  # FIELDS as arrays (n,)
 def _table(parts: Sequence[Mapping[str, Any]]) -> _Table:
     """The cells of all parts."""
     dtypes = {"deviation": np.float64, "undecided": bool}
-    return {name: np.array([x for part in parts for x in part[name]], dtypes.get(name)) for name in FIELDS}
+    return {
+        name: np.array([x for part in parts for x in part[name]], dtypes.get(name)) for name in audit.FIELDS
+    }
 
 
 def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
@@ -265,7 +257,7 @@ def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[
     masks = _masks(table, tolerance)
     changed = np.flatnonzero(masks["mode"] | masks["flights"] | table["undecided"])
     named = {
-        "cell_set": [SETS[i] for i in table["set"]],
+        "cell_set": [audit.SETS[i] for i in table["set"]],
         "cell_direction": [spec.directions[i] for i in table["direction"]],
         **{f"cell_{axis}": table[axis] for axis in ("gamma", "omega", "xi")},
         "cell_stored": _named(table, ""),
@@ -310,7 +302,7 @@ def _between(answer: _Answer) -> str:
 
 
 def _contact(study: Stored[SweepSpec]) -> Any:
-    return approximated(study.submitted, study.spec)
+    return audit.approximated(study.submitted, study.spec)
 
 
 def _cells(spec: SweepSpec, query: AuditQuery) -> int:
@@ -318,20 +310,20 @@ def _cells(spec: SweepSpec, query: AuditQuery) -> int:
     if query.cells is not None:
         return query.cells
     seconds = prod(spec.shape) * cell_seconds(spec)
-    by_cost = SHARE * seconds / (HARD_AND_POINTS * reference_seconds(spec))
+    by_cost = SHARE * seconds / (HARD_AND_POINTS * audit.reference_seconds(spec))
     return int(min(max(by_cost, FEWEST), MOST_BY_DEFAULT))
 
 
 def _followed(spec: SweepSpec, query: AuditQuery) -> int:
     """Cells that a time stepper follows."""
-    if query.followed is not None or not (seconds := followed_seconds(spec)):
+    if query.followed is not None or not (seconds := audit.followed_seconds(spec)):
         return query.followed or 0
     return int(min(FOLLOWED_SECONDS / seconds, FOLLOWED))
 
 
 def affordable(spec: SweepSpec, seconds: float) -> int | None:
     """Cells of each sample that take this many core-seconds, by the table; None if too few."""
-    cells = int(seconds / (HARD_AND_POINTS * reference_seconds(spec)))
+    cells = int(seconds / (HARD_AND_POINTS * audit.reference_seconds(spec)))
     return None if cells < FEWEST_AFFORDED else min(cells, MOST_BY_DEFAULT)
 
 
@@ -345,16 +337,16 @@ def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:
 
 def _seconds(spec: SweepSpec, query: AuditQuery) -> float:
     """Core-seconds, by the table."""
-    cells = HARD_AND_POINTS * _cells(spec, query) * reference_seconds(spec)
-    return cells + _followed(spec, query) * followed_seconds(spec)
+    cells = HARD_AND_POINTS * _cells(spec, query) * audit.reference_seconds(spec)
+    return cells + _followed(spec, query) * audit.followed_seconds(spec)
 
 
 def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
     """The cells of the sets. Raises InvalidRequest for more computing than one audit may take."""
     cells, seconds = _cells(spec, query), _seconds(spec, query)
-    if seconds > MAX_SECONDS:
-        fitting = int(cells * MAX_SECONDS / seconds)
-        rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
+    if seconds > audit.MAX_SECONDS:
+        fitting = int(cells * audit.MAX_SECONDS / seconds)
+        rule = f"{cells:,} cells take about {seconds:,.0f} core-seconds, the limit is {audit.MAX_SECONDS:g}"
         raise InvalidRequest.of("cells", f"{rule}: enough for {fitting:,}")
     looked = 3 * cells + 100
     return Estimate({"cell": looked}, memory=looked * _PER_CELL + prod(spec.shape), small=False)
@@ -375,7 +367,7 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
         query.seed,
         query.tolerance,
     )
-    return [(look, *asked, part) for part in range(PARTS)]
+    return [(audit.look, *asked, part) for part in range(audit.PARTS)]
 
 
 VIEW: Final = View(

@@ -147,10 +147,9 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
         axes.plot([], [], color=colour, label=kind)
     if kinds:
         axes.legend(frameon=False)
-    axes.set_xlabel(AXES[along])
-    axes.set_ylabel(AXES["gamma"])
     other = "xi" if along == "omega" else "omega"
-    axes.set_title(f"{SYMBOLS[other]} = {result[other].item():g}")
+    title = f"{SYMBOLS[other]} = {result[other].item():g}"
+    axes.set(xlabel=AXES[along], ylabel=AXES["gamma"], title=title)
 
 
 VIEW: Final = View(

@@ -12,18 +12,7 @@ from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
 from service.pictures import WARNING, dot_of, draw_caption, draw_diagram, draw_strips, set_scales
-from service.views.selection import (
-    LABEL,
-    Stored,
-    between,
-    check_order,
-    directions_of,
-    fixed_axes,
-    hidden_cells,
-    read_direction,
-    recounted,
-    shortest,
-)
+from service.views import selection
 from service.views.variables import cells_dataset, coordinate
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.spec.contact_models import CONTACT_MODELS
@@ -31,7 +20,6 @@ from worker.study import Array
 from worker.sweep import SweepSpec, schema
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -54,7 +42,7 @@ class DiagramQuery(Query):
     caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
 
 
-def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
+def compute(study: selection.Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     """The flights of the cells along an axis.
 
     A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
@@ -62,17 +50,17 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
     unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
     """
     spec, along = study.spec, query.along
-    fixed, window = fixed_axes(spec, along, dict(query)), _window(spec, query)
+    fixed, window = selection.fixed_axes(spec, along, dict(query)), _window(spec, query)
     part = slice(window.start, window.stop, query.every)
     indices = {along: part, **{axis: point.index for axis, point in fixed.items()}}
     cells = {
         direction: _shown(_line(study, direction, indices, query.min_flight), query)
-        for direction in directions_of(spec, query.direction)
+        for direction in selection.directions_of(spec, query.direction)
     }
     coords = {axis: coordinate(axis, point.value) for axis, point in fixed.items()}
     coords |= {along: coordinate(along, spec.axis_values(along)[part])}
     attrs: dict[str, Any] = {
-        "along": along, "min_flight": shortest(spec, query.min_flight), "every": query.every,
+        "along": along, "min_flight": selection.shortest(spec, query.min_flight), "every": query.every,
         "model": spec.model.kind, "complete": all(study.is_complete(x["outcome"]) for x in cells.values()),
     }  # fmt: skip
     ends = {"flight_start": query.flight_start, "flight_stop": query.flight_stop}
@@ -85,25 +73,25 @@ def compute(study: Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
 
 
 def _window(spec: SweepSpec, query: DiagramQuery) -> range:
-    return between(spec.axis_values(query.along), query, "start", "stop")
+    return selection.between(spec.axis_values(query.along), query, "start", "stop")
 
 
 def rows_of(spec: SweepSpec) -> Iterator[Array]:
     """The stored variables without the end states, and the label where exponents are stored."""
     yield from (row for row in schema.arrays(spec) if row is not schema.END_STATE)
     if spec.exponents:
-        yield LABEL
+        yield selection.LABEL
 
 
 def _line(
-    study: Stored[SweepSpec], direction: str, indices: Any, min_flight: float | None
+    study: selection.Stored[SweepSpec], direction: str, indices: Any, min_flight: float | None
 ) -> dict[str, NDArray[Any]]:
     """The variables of the cells in one direction."""
     spec = study.spec
-    names = [row.name for row in rows_of(spec) if row is not LABEL]
-    arrays = read_direction(study, names, direction, indices)
-    arrays |= recounted(spec, arrays, min_flight)
-    shown = counted(arrays["flight_time"], arrays["flights"], shortest(spec, min_flight))
+    names = [row.name for row in rows_of(spec) if row is not selection.LABEL]
+    arrays = selection.read_direction(study, names, direction, indices)
+    arrays |= selection.recounted(spec, arrays, min_flight)
+    shown = counted(arrays["flight_time"], arrays["flights"], selection.shortest(spec, min_flight))
     for name in ("flight_time", "takeoff_phase"):
         arrays[name] = np.where(shown, arrays[name], np.nan)
     return arrays
@@ -114,15 +102,15 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
     times, low, high = arrays["flight_time"], query.flight_start, query.flight_stop
     shown = (times >= (-np.inf if low is None else low)) & (times <= (np.inf if high is None else high))
     if query.hide is not None:
-        shown &= ~hidden_cells(arrays, query.hide)[..., np.newaxis]
+        shown &= ~selection.hidden_cells(arrays, query.hide)[..., np.newaxis]
     return arrays | {name: np.where(shown, arrays[name], np.nan) for name in ("flight_time", "takeoff_phase")}
 
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest for a line that the sweep does not have."""
-    fixed_axes(spec, query.along, dict(query))
-    check_order(query, "flight_start", "flight_stop")
-    directions = directions_of(spec, query.direction)
+    selection.fixed_axes(spec, query.along, dict(query))
+    selection.check_order(query, "flight_start", "flight_stop")
+    directions = selection.directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
@@ -139,7 +127,7 @@ def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
     thinned = f", 1 cell in {attrs['every']:,}" if attrs["every"] > 1 else ""
     lost = int(np.count_nonzero(np.isin(outcome, (Outcome.UNRESOLVED, Outcome.DIVERGED))))
     unresolved = f", {lost:,} of {outcome.size:,} cells unresolved" if lost else ""
-    codes = result.variables[LABEL.name if LABEL.name in result else "outcome"].values
+    codes = result.variables[selection.LABEL.name if selection.LABEL.name in result else "outcome"].values
     special = (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC, UNSTABLE)
     counts = {code: int(np.count_nonzero(codes == code)) for code in special}
     told_apart = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
@@ -174,15 +162,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
         )  # fmt: skip
 
 
-def draw_legend(axes: "Axes", **options: Any) -> None:
-    """The directions of a diagram."""
-    axes.legend(
-        **{"loc": "upper left", "markerscale": 3, "handletextpad": 0.2, "frameon": False} | options
-    ).set_zorder(4)
-
-
 VIEW: Final = View(
     "diagram", "Bifurcation diagram", SweepSpec, DiagramQuery, compute, estimate,
-    variables=(*(row for row in schema.ARRAYS if row is not schema.END_STATE), LABEL),
+    variables=(*(row for row in schema.ARRAYS if row is not schema.END_STATE), selection.LABEL),
     rows="flight_time", draw=draw, size=SIZE,
 )  # fmt: skip

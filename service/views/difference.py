@@ -9,19 +9,7 @@ from pydantic import Field
 
 from kernel.params import Outcome
 from service.pictures import SYMBOLS, draw_modes
-from service.views.selection import (
-    LABEL,
-    MAX_READ,
-    ROUNDING,
-    Arrays,
-    Indices,
-    Stored,
-    arrays_of_modes,
-    directions_of,
-    nearest_index,
-    read_direction,
-    recounted,
-)
+from service.views import selection
 from service.views.threshold import on_grid_of
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Every, FirstDirection, Number, Query, View
@@ -34,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PLANE: Final = ("omega", "gamma")
-_OF_CELLS: Final = (*(each for each in RECORD if each.name in MODE_ARRAYS), OUTCOME, LABEL)
+_OF_CELLS: Final = (*(each for each in RECORD if each.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
 _DIFFERS: Final = row(
     "differs", (), "|u1", "how the cell compares with the nearest one of the other sweep",
     flag_values=[0, 1, 2], flag_meanings="same_mode other_mode not_compared",
@@ -68,7 +56,7 @@ class DifferenceQuery(Query):
     every: Every = 1
 
 
-def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
+def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
     """Where two sweeps have other modes.
 
     Each cell of this sweep is compared with the nearest one of the `other`, if it is within its axes: by
@@ -77,14 +65,16 @@ def compute(study: Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
     """
     other = study.other
     assert other is not None
-    xi = nearest_index(study.spec, "xi", query.xi)
-    other_xi = nearest_index(other.spec, "xi", xi.value if len(other.spec.axis_values("xi")) > 1 else None)
-    direction = directions_of(study.spec, query.direction)[0]
+    xi = selection.nearest_index(study.spec, "xi", query.xi)
+    other_xi = selection.nearest_index(
+        other.spec, "xi", xi.value if len(other.spec.axis_values("xi")) > 1 else None
+    )
+    direction = selection.directions_of(study.spec, query.direction)[0]
     ways = other.spec.directions
-    names = arrays_of_modes(study.spec, None)
+    names = selection.arrays_of_modes(study.spec, None)
     part = slice(None, None, query.every)
-    indices: Indices = {"xi": xi.index, "omega": part, "gamma": part}
-    own = recounted(study.spec, read_direction(study, names, direction, indices), None)
+    indices: selection.Indices = {"xi": xi.index, "omega": part, "gamma": part}
+    own = selection.recounted(study.spec, selection.read_direction(study, names, direction, indices), None)
     near, inside = _nearest(study.spec, other.spec, query.every)
     way = direction if direction in ways else ways[0]
     theirs = _read_nearest(other, way, other_xi.index, near)
@@ -121,29 +111,31 @@ def _nearest(
         left = np.minimum(right, len(theirs)) - 1
         right = np.minimum(right, len(theirs) - 1)
         near.append(np.where(values - theirs[left] <= theirs[right] - values, left, right))
-        slack = ROUNDING * max(abs(theirs[0]), abs(theirs[-1]))
+        slack = selection.ROUNDING * max(abs(theirs[0]), abs(theirs[-1]))
         inside.append((values >= theirs[0] - slack) & (values <= theirs[-1] + slack))
     return near, inside
 
 
-def _read_nearest(study: Stored[SweepSpec], direction: str, xi: int, near: list[NDArray[np.intp]]) -> Arrays:
+def _read_nearest(
+    study: selection.Stored[SweepSpec], direction: str, xi: int, near: list[NDArray[np.intp]]
+) -> selection.Arrays:
     """`recounted` arrays of these rows and columns of a plane, read some rows at a time."""
     rows, columns = near
-    names = arrays_of_modes(study.spec, None)
-    at_once = max(1, MAX_READ // (4 * len(study.spec.axis_values("gamma"))))
+    names = selection.arrays_of_modes(study.spec, None)
+    at_once = max(1, selection.MAX_READ // (4 * len(study.spec.axis_values("gamma"))))
     parts, first = [], 0
     while first < len(rows):
         last = int(np.searchsorted(rows, rows[first] + at_once))
         low, high = int(rows[first]), int(rows[last - 1]) + 1
-        block = read_direction(study, names, direction, {"xi": xi, "omega": slice(low, high)})
+        block = selection.read_direction(study, names, direction, {"xi": xi, "omega": slice(low, high)})
         parts.append({name: values[rows[first:last] - low][:, columns] for name, values in block.items()})
         first = last
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return recounted(study.spec, arrays, None)
+    return selection.recounted(study.spec, arrays, None)
 
 
 def _moved(
-    study: Stored[SweepSpec], other: Stored[SweepSpec], xi: int, other_xi: int
+    study: selection.Stored[SweepSpec], other: selection.Stored[SweepSpec], xi: int, other_xi: int
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.bool_]]:
     """How far thresholds move per omega of the first sweep, and which of these the other has too.
 
@@ -154,7 +146,7 @@ def _moved(
     own, theirs = on_grid_of(study, xi)[0], on_grid_of(other, other_xi)[0]
     [near, _], _ = _nearest(study.spec, other.spec)
     omega = study.spec.axis_values("omega")
-    shared = np.isclose(omega, other.spec.axis_values("omega")[near], rtol=ROUNDING, atol=0.0)
+    shared = np.isclose(omega, other.spec.axis_values("omega")[near], rtol=selection.ROUNDING, atol=0.0)
     moved = {
         f"{way}_moved": np.where(shared, np.abs(own[way] - theirs[way][near]), np.nan)
         for way in ("up", "down")
@@ -185,10 +177,10 @@ def _sentence(
 
 def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
     """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
-    nearest_index(spec, "xi", query.xi)
-    directions_of(spec, query.direction)
+    selection.nearest_index(spec, "xi", query.xi)
+    selection.directions_of(spec, query.direction)
     lengths = {axis: len(spec.axis_values(axis)) for axis in _PLANE}
-    return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=32 * MAX_READ, small=False)
+    return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=32 * selection.MAX_READ, small=False)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:

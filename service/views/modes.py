@@ -14,21 +14,7 @@ from kernel.modes import counted
 from kernel.params import Outcome
 from service.errors import InvalidRequest
 from service.pictures import draw_modes, set_scales
-from service.views.selection import (
-    LABEL,
-    MAX_READ,
-    Indices,
-    Stored,
-    arrays_of_modes,
-    between,
-    directions_of,
-    hidden_cells,
-    nearest_index,
-    needs_flights,
-    read_direction,
-    recounted,
-    shortest,
-)
+from service.views import selection
 from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.sweep import SweepSpec, schema
@@ -47,12 +33,12 @@ _UNKNOWN: Final = (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED, Outcom
 
 #: Flights of both directions that are compared at a time, and bytes of memory of each: time and phase, what
 #: counts, and their order.
-_COMPARED: Final = MAX_READ // 4
+_COMPARED: Final = selection.MAX_READ // 4
 _PER_COMPARED: Final = 48
 
 _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
-    *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, LABEL, COMPUTED,
+    *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, selection.LABEL, COMPUTED,
     schema.LYAPUNOV, schema.LYAPUNOV_ERROR, *schema.CERTIFICATE,
 )  # fmt: skip
 
@@ -76,10 +62,9 @@ class ModesQuery(Query):
     every: Every = 1
     log: Log = None
     hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
-    color: Annotated[
-        Literal["mode", "multiplier"],
-        Field(description="multiplier: the margin of stability, of a sweep that certifies cells"),
-    ] = "mode"
+    color: Literal["mode", "multiplier"] = Field(
+        "mode", description="multiplier: the margin of stability, of a sweep that certifies cells"
+    )
     hide: Hide = None
     gamma_start: Number | None = None
     gamma_stop: Number | None = None
@@ -87,7 +72,7 @@ class ModesQuery(Query):
     omega_stop: Number | None = None
 
 
-def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
+def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     """Outcome, bounces and plate periods of every cell.
 
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
@@ -95,19 +80,22 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
     corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
     With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
     """
-    spec, directions = study.spec, directions_of(study.spec, query.direction)
-    xi, window = nearest_index(spec, "xi", query.xi), _window(spec, query)
-    names = arrays_of_modes(spec, query.min_flight)
+    spec, directions = study.spec, selection.directions_of(study.spec, query.direction)
+    xi, window = selection.nearest_index(spec, "xi", query.xi), _window(spec, query)
+    names = selection.arrays_of_modes(spec, query.min_flight)
     certificates = [row.name for row in schema.CERTIFICATE] if query.color == "multiplier" else []
     cells = {}
     for direction in directions:
-        arrays = read_direction(study, (*names, *certificates), direction, {"xi": xi.index, **window})
+        arrays = selection.read_direction(
+            study, (*names, *certificates), direction, {"xi": xi.index, **window}
+        )
         certified = {name: arrays[name] for name in certificates}
-        cells[direction] = recounted(spec, arrays, query.min_flight) | certified
+        cells[direction] = selection.recounted(spec, arrays, query.min_flight) | certified
     coords = {"xi": coordinate("xi", xi.value)}
     coords |= {axis: coordinate(axis, spec.axis_values(axis)[part]) for axis, part in window.items()}
     attrs: dict[str, Any] = {
-        "min_flight": shortest(spec, query.min_flight), "every": query.every, "model": spec.model.kind,
+        "min_flight": selection.shortest(spec, query.min_flight), "every": query.every,
+        "model": spec.model.kind,
         "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
     }  # fmt: skip
     attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
@@ -125,7 +113,10 @@ def compute(study: Stored[SweepSpec], query: ModesQuery) -> xarray.Dataset:
 
 def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:
     """The arrays of a plane with the cells of classes to hide as if they were missing."""
-    hidden, missing = hidden_cells(arrays, hide), dict.fromkeys((LABEL.name, *schema.MODE_ARRAYS), 0.0)
+    hidden, missing = (
+        selection.hidden_cells(arrays, hide),
+        dict.fromkeys((selection.LABEL.name, *schema.MODE_ARRAYS), 0.0),
+    )
     missing |= {row.name: np.nan for row in schema.CERTIFICATE}
     return {
         name: np.where(hidden, values.dtype.type(missing[name]), values) if name in missing else values
@@ -136,7 +127,7 @@ def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray
 def _window(spec: SweepSpec, query: ModesQuery) -> Window:
     """The indices of the cells between the given values of omega and gamma."""
     parts = {
-        axis: between(spec.axis_values(axis), query, f"{axis}_start", f"{axis}_stop")
+        axis: selection.between(spec.axis_values(axis), query, f"{axis}_start", f"{axis}_stop")
         for axis in ("omega", "gamma")
     }
     return {axis: slice(part.start, part.stop, query.every) for axis, part in parts.items()}
@@ -144,14 +135,14 @@ def _window(spec: SweepSpec, query: ModesQuery) -> Window:
 
 def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
-    nearest_index(spec, "xi", query.xi)
-    directions, window = directions_of(spec, query.direction), _window(spec, query)
+    selection.nearest_index(spec, "xi", query.xi)
+    directions, window = selection.directions_of(spec, query.direction), _window(spec, query)
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
     if query.color == "multiplier" and not spec.certifies:
         able = "one with settle 'auto' and no exponents" if spec.model.certifies else "one of a soft contact"
         raise InvalidRequest.of("color", f"must be 'mode': this sweep certifies no cells, as {able} does")
     memory, most = 0, None
-    if needs_flights(spec, query.min_flight):
+    if selection.needs_flights(spec, query.min_flight):
         if spec.fills_in:
             rule = (
                 f"must be the sweep's, {spec.micro_flight:g}: an adaptive map is refined where modes of "
@@ -160,7 +151,7 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
                 "where cells are computed"
             )
             raise InvalidRequest.of("min_flight", rule)
-        most = max(1, MAX_READ // spec.keep)
+        most = max(1, selection.MAX_READ // spec.keep)
         memory = 100 * spec.keep * min(most, prod(-(-n // query.every) for n in lengths.values()))
     if query.hysteresis:
         if len(spec.directions) < 2:
@@ -181,7 +172,7 @@ def comparison_memory(spec: SweepSpec) -> int:
     return min(row * len(spec.axis_values("omega")), max(_COMPARED, row)) * _PER_COMPARED
 
 
-def _computed_share(study: Stored[SweepSpec], xi: int, direction: str) -> float:
+def _computed_share(study: selection.Stored[SweepSpec], xi: int, direction: str) -> float:
     """The share of an adaptive map's cells at one xi that were computed, of those done.
 
     Of every cell, also where an answer is thinned: rows and columns of a thinned one are those of blocks'
@@ -190,35 +181,36 @@ def _computed_share(study: Stored[SweepSpec], xi: int, direction: str) -> float:
     spec = study.spec
     done = computed = 0
     omegas, gammas = (len(spec.axis_values(axis)) for axis in _PLANE)
-    rows = max(1, MAX_READ // gammas)
+    rows = max(1, selection.MAX_READ // gammas)
     for low in range(0, omegas, rows):
         names, some = (OUTCOME.name, COMPUTED.name), slice(low, low + rows)
-        part = read_direction(study, names, direction, {"xi": xi, "omega": some})
+        part = selection.read_direction(study, names, direction, {"xi": xi, "omega": some})
         done += int(np.count_nonzero(part[OUTCOME.name] != Outcome.MISSING))
         computed += int(np.count_nonzero(part[COMPUTED.name]))
     return computed / done if done else 0.0
 
 
 def _hysteresis(
-    study: Stored[SweepSpec], xi: int, window: Window, min_flight: float | None
+    study: selection.Stored[SweepSpec], xi: int, window: Window, min_flight: float | None
 ) -> tuple[NDArray[np.uint8], bool]:
     """`compare` of the cells of a window, some rows at a time, and whether all are computed both ways."""
     spec = study.spec
-    names = {*arrays_of_modes(spec, min_flight), "flight_time", "flights"}
+    names = {*selection.arrays_of_modes(spec, min_flight), "flight_time", "flights"}
     rows, columns = (range(len(spec.axis_values(axis)))[window[axis]] for axis in _PLANE)
     at_once = max(1, _COMPARED // (len(spec.directions) * spec.keep * len(columns)))
     parts, complete = [], True
     for first in range(0, len(rows), at_once):
         some = rows[first : first + at_once]
-        indices: Indices = {"xi": xi, **window, "omega": slice(some.start, some.stop, some.step)}
+        indices: selection.Indices = {"xi": xi, **window, "omega": slice(some.start, some.stop, some.step)}
         up, down = (
-            arrays | recounted(spec, arrays, min_flight)
+            arrays | selection.recounted(spec, arrays, min_flight)
             for arrays in (
-                read_direction(study, sorted(names), direction, indices) for direction in spec.directions
+                selection.read_direction(study, sorted(names), direction, indices)
+                for direction in spec.directions
             )
         )
         complete &= study.is_complete(up["outcome"]) and study.is_complete(down["outcome"])
-        parts.append(compare(up, down, shortest(spec, min_flight)))
+        parts.append(compare(up, down, selection.shortest(spec, min_flight)))
     return np.concatenate(parts), complete
 
 

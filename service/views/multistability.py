@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
+from service import pictures
 from service.errors import TooLarge
-from service.pictures import (
-    ATTRACTORS,
-    OTHER_ATTRACTORS,
-    PALETTE,
-    SYMBOLS,
-    UNDECIDED,
-    dot_of,
-    edges,
-    legend_beside,
-)
 from service.views.selection import Stored, attractor_label, nearest_index, read_stored
 from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Estimate, Number, Query, View
@@ -268,11 +259,11 @@ def _events(
 
 
 #: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
-COUNTS: Final[tuple[str, ...]] = tuple(PALETTE["attractor_counts"])
+COUNTS: Final[tuple[str, ...]] = tuple(pictures.PALETTE["attractor_counts"])
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
 #: Colours by id: none, one of their own for those with most cells, and that of all others.
-_BY_ID: Final = (UNDECIDED, *ATTRACTORS, OTHER_ATTRACTORS)
+_BY_ID: Final = (pictures.UNDECIDED, *pictures.ATTRACTORS, pictures.OTHER_ATTRACTORS)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
@@ -284,29 +275,23 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
     left, right = figure.subplots(1, 2, sharey=True)
     number = np.clip(result["count"].values + 1, 0, len(COUNTS) - 1)
-    _map(left, result, number, COUNTS)
-    legend_beside(left, [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
-                         for n in np.unique(number).tolist()])  # fmt: skip
+    sides = pictures.edges(result.gamma.values), pictures.edges(result.omega.values)  # the grid may be uneven
+    pictures.draw_cells(left, *sides, number, COUNTS)
+    entries = [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
+               for n in np.unique(number).tolist()]  # fmt: skip
+    pictures.legend_beside(left, entries)
     first = result.id.values[:, :, 0]
-    _map(right, result, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
+    pictures.draw_cells(right, *sides, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
     _name_attractors(right, result.isel(attractor=np.isin(result.attractor, first)))
-    left.set_ylabel(SYMBOLS["omega"])
     several = result.attrs["several"]
     share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
+    left.set(xlabel=pictures.SYMBOLS["gamma"], ylabel=pictures.SYMBOLS["omega"])
+    right.set_xlabel(pictures.SYMBOLS["gamma"])
     left.set_title(f"attractors of a cell{share}", fontsize=11)
     right.set_title("the attractor that most drops reach", fontsize=11)
-    figure.suptitle(f"{SYMBOLS['xi']} = {result.xi.item():g}  ({result.attrs['model']})", fontsize=11)
-
-
-def _map(axes: "Axes", result: xarray.Dataset, values: NDArray[np.int64], colours: tuple[str, ...]) -> None:
-    """Cells in the colours of their values; the grid may be uneven."""
-    from matplotlib.colors import ListedColormap
-
-    axes.pcolormesh(
-        edges(result.gamma.values), edges(result.omega.values), values, cmap=ListedColormap(list(colours)),
-        vmin=-0.5, vmax=len(colours) - 0.5, rasterized=True,
-    )  # fmt: skip
-    axes.set_xlabel(SYMBOLS["gamma"])
+    figure.suptitle(
+        f"{pictures.SYMBOLS['xi']} = {result.xi.item():g}  ({result.attrs['model']})", fontsize=11
+    )
 
 
 def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
@@ -314,14 +299,13 @@ def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
     ids, times = result.id.values[0], result.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(result.gamma.values[:, np.newaxis, np.newaxis], times.shape)
-    size = 2.0 * dot_of(len(gamma))
+    size = 2.0 * pictures.dot_of(len(gamma))
     for number in np.unique(ids[ids > 0])[::-1].tolist():
         shown = (ids == number)[..., np.newaxis] & np.isfinite(times)
         colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=size, markeredgewidth=0.0)
-    axes.set_xlabel(SYMBOLS["gamma"])
-    axes.set_ylabel("flight time (rad)")
-    values = ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
+    axes.set(xlabel=pictures.SYMBOLS["gamma"], ylabel=pictures.FLIGHT)
+    values = ", ".join(f"{pictures.SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
     axes.set_title(f"coexisting attractors, {values}  ({result.attrs['model']})", fontsize=11)
     _name_attractors(axes, result)
 
@@ -337,7 +321,7 @@ def _name_attractors(axes: "Axes", result: xarray.Dataset) -> None:
     ]
     if others := result.sizes["attractor"] - len(entries):
         entries.append(Patch(color=_BY_ID[-1], label=f"{others} more"))
-    legend_beside(axes, entries)
+    pictures.legend_beside(axes, entries)
 
 
 VIEW: Final = View(

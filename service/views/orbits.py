@@ -20,16 +20,7 @@ from kernel.cycles.roots import stretches
 from kernel.params import Cell, KernelInputError
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import IDEAL, draw_cycles
-from service.views import proofs
-from service.views.selection import (
-    MAX_READ,
-    GridValue,
-    Stored,
-    check_kernel,
-    directions_of,
-    nearest_index,
-    read_stored,
-)
+from service.views import proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import (
     AT_ONCE_SECONDS,
@@ -151,10 +142,10 @@ def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...])
     lengths = [
         max((each.shape[i] for each in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
     ]
-    if (size := prod((len(values), *lengths))) > MAX_READ:
+    if (size := prod((len(values), *lengths))) > selection.MAX_READ:
         raise TooLarge(
             f"{len(values):,} of them, as long as the longest, hold {size:,} numbers; the limit is "
-            f"{MAX_READ:,}: take a shorter range, or fewer kinds or modes"
+            f"{selection.MAX_READ:,}: take a shorter range, or fewer kinds or modes"
         )
     table = np.full((len(values), *lengths), np.nan if about.dtype == "<f8" else about.fill, about.dtype)
     for line, each in zip(table, values, strict=True):
@@ -253,17 +244,13 @@ _OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
 class ContactQuery(Query):
     """The contact that the spring has."""
 
-    model: Annotated[
-        Literal["rigid", "soft"] | None,
-        Field(description="contact whose cycles are followed; default: the ideal plate in closed form"),
-    ] = None
-    restitution: Annotated[Annotated[Number, Field(ge=0, lt=1)] | None, Field(description="of the model")] = (
-        None
+    model: Literal["rigid", "soft"] | None = Field(
+        None, description="contact whose cycles are followed; default: the ideal plate in closed form"
     )
-    penetration: Annotated[
-        Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None,
-        Field(description="of a soft model, in plate amplitudes"),
-    ] = None
+    restitution: Annotated[Number, Field(ge=0, lt=1)] | None = Field(None, description="of the model")
+    penetration: Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None = Field(
+        None, description="of a soft model, in plate amplitudes"
+    )
     adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
 
 
@@ -274,16 +261,14 @@ class OrbitsQuery(ContactQuery):
     xi: Xi
     modes: Modes = "1-1,1-2"
     gamma_max: GammaMax = 8.0
-    points: Annotated[
-        int,
-        Field(ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"),
-    ] = 400
+    points: int = Field(
+        400, ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"
+    )
     energy: WithEnergy = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
-    along: Annotated[
-        Literal["gamma", "omega", "xi"],
-        Field(description="what varies; of a model, omega or xi too, from half to twice its value"),
-    ] = "gamma"
+    along: Literal["gamma", "omega", "xi"] = Field(
+        "gamma", description="what varies; of a model, omega or xi too, from half to twice its value"
+    )
     gamma: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(None, description="where another varies")
     doubled: WithDoubled = False
 
@@ -449,10 +434,9 @@ class CellsQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: FirstDirection = None
-    gamma_max: Annotated[
-        Annotated[Number, Field(gt=0, le=1e6)] | None,
-        Field(description="branches are cut above this Γ; default: 8, of a study of orbits its own"),
-    ] = None
+    gamma_max: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(
+        None, description="branches are cut above this Γ; default: 8, of a study of orbits its own"
+    )
     doubled: WithDoubled = False
 
 
@@ -468,21 +452,21 @@ def contact_of(spec: SweepSpec) -> Rigid | Soft:
     return spec.model
 
 
-def _line(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, GridValue]]:
+def _line(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
     """Direction and spring of the cells. Raises InvalidRequest."""
     contact_of(spec)
-    spring = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
-    return directions_of(spec, query.direction)[0], spring
+    spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
+    return selection.directions_of(spec, query.direction)[0], spring
 
 
-def cell_parts(study: Stored[Any], query: CellsQuery) -> Sequence[Call]:
+def cell_parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call]:
     """The branches of one line of a sweep, unless nothing is stored yet.
 
     Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
     """
     if isinstance(study.spec, OrbitsSpec):
         return []
-    check_kernel(study.kernel_version)
+    selection.check_kernel(study.kernel_version)
     try:
         store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
     except store.StoreMissing as error:
@@ -495,7 +479,9 @@ def cell_parts(study: Stored[Any], query: CellsQuery) -> Sequence[Call]:
     return [(follow_cells, study.spec, study.url, *indices, top, study.complete, query.doubled)]
 
 
-def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles = _NONE) -> xarray.Dataset:
+def compute_cells(
+    study: selection.Stored[Any], query: CellsQuery, cycles: FollowedCycles = _NONE
+) -> xarray.Dataset:
     """Branches of the cycles that cells settled to.
 
     Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
@@ -518,11 +504,11 @@ def compute_cells(study: Stored[Any], query: CellsQuery, cycles: FollowedCycles 
     return closed_form(data, coords, study.complete, model, gamma_max=query.gamma_max or GAMMA_MAX)
 
 
-def _stored_branches(study: Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
+def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
     """Branches and events of one spring of a study of orbits."""
     spec, top = study.spec, query.gamma_max or study.spec.gamma_max
-    spring = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in DIMS}
-    x = read_stored(study, tuple(_STORED), {axis: point.index for axis, point in spring.items()})
+    spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in DIMS}
+    x = selection.read_stored(study, tuple(_STORED), {axis: point.index for axis, point in spring.items()})
     x["multiplier"] = np.stack([x["multiplier"], x["other_multiplier"]], axis=-1)
     one = np.ones(spec.points, np.int32)
     xi, omega = (np.full(spec.points, point.value) for point in spring.values())
@@ -548,7 +534,7 @@ def estimate_cells(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
             if getattr(query, name):
                 raise InvalidRequest.of(name, "is of the cells of a sweep; this study is of kind orbits")
         for axis in DIMS:
-            nearest_index(spec, axis, getattr(query, axis))
+            selection.nearest_index(spec, axis, getattr(query, axis))
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
     _line(spec, query)
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}

@@ -16,16 +16,7 @@ from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
 from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS, draw_thresholds, edges, legend_beside
-from service.views import orbits, proofs
-from service.views.selection import (
-    MAX_READ,
-    ROUNDING,
-    Stored,
-    between,
-    check_kernel,
-    nearest_index,
-    read_direction,
-)
+from service.views import orbits, proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
 from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
@@ -361,7 +352,7 @@ class ThresholdQuery(Query):
     gamma_stop: Annotated[Number | None, Field(description="of a picture: its highest threshold")] = None
 
 
-def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> xarray.Dataset:
+def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> xarray.Dataset:
     """Where bouncing begins and ends, per Ω.
 
     At one ξ: as the sweep's cells show it, beside Eq. 25 and the closed form. `up` and `down` are values of
@@ -386,7 +377,7 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
     - `cells`: from cycles of the sweep's cells; on an ideal plate where the closed form is `unresolved`
     - `search`: searched for where branches of the sweep's contact do not decide
     """
-    spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
+    spec, nearest = study.spec, selection.nearest_index(study.spec, "xi", query.xi)
     omega, xi = spec.axis_values("omega"), nearest.value
     data, complete = on_grid_of(study, nearest.index)
     refined = [part for part in computed if isinstance(part, Refined)]
@@ -413,7 +404,7 @@ def compute(study: Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> 
         contact = f"{own}: {how}; others may reach lower"
     attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
     attrs |= query.model_dump(include={"tolerance", "gamma_start", "gamma_stop"}, exclude_none=True)
-    window = between(omega, query, "omega_start", "omega_stop")
+    window = selection.between(omega, query, "omega_start", "omega_stop")
     return dataset(
         {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
         {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},
@@ -430,7 +421,7 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
     if spec.ramp_axis not in (None, "gamma"):
         rule = f"is {spec.ramp_axis}; thresholds in gamma need a sweep from rest or ramped along gamma"
         raise InvalidRequest.of("protocol.axis", rule)
-    xi = nearest_index(spec, "xi", query.xi).value
+    xi = selection.nearest_index(spec, "xi", query.xi).value
     omegas, gammas = (len(spec.axis_values(axis)) for axis in ("omega", "gamma"))
     if query.tolerance is not None:
         seconds = omegas * TYPICAL_CELLS * cell_seconds(spec, alone=True) * len(spec.directions)
@@ -446,20 +437,20 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
     )  # fmt: skip
     return Estimate(
         {"omega": omegas}, reads=("omega", "gamma"), small=brief and query.tolerance is None,
-        memory=omegas * _PER_OMEGA + min(omegas * gammas, MAX_READ),
+        memory=omegas * _PER_OMEGA + min(omegas * gammas, selection.MAX_READ),
     )  # fmt: skip
 
 
-def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
+def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     """Refinements, and the predictions that take long. Nothing is refined of a job that has not begun.
 
     Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
     """
-    spec, nearest = study.spec, nearest_index(study.spec, "xi", query.xi)
+    spec, nearest = study.spec, selection.nearest_index(study.spec, "xi", query.xi)
     omega = spec.axis_values("omega").tolist()
     calls: list[Call] = []
     if query.tolerance is not None or query.predict == "cells":
-        check_kernel(study.kernel_version)
+        selection.check_kernel(study.kernel_version)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
         calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]
@@ -483,7 +474,7 @@ def parts(study: Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
     return calls
 
 
-def on_grid_of(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
+def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
     """The thresholds to the grid in gamma and their statuses, and whether every cell is done.
 
     Where cells are filled in, also whether both cells beside each threshold were computed.
@@ -496,12 +487,14 @@ def on_grid_of(study: Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any
     for name in ("up", "down"):
         data[name] = np.full(len(omega), np.nan)
         data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)
-    complete, rows = True, max(1, MAX_READ // len(gamma))
+    complete, rows = True, max(1, selection.MAX_READ // len(gamma))
     for direction in spec.directions:
         down = direction == "down"
         name = "down" if down else "up"
         for low in range(0, len(omega), rows):
-            part = read_direction(study, names, direction, {"xi": xi, "omega": slice(low, low + rows)})
+            part = selection.read_direction(
+                study, names, direction, {"xi": xi, "omega": slice(low, low + rows)}
+            )
             complete = complete and study.is_complete(part["outcome"])
             for i, outcome in enumerate(part["outcome"], low):
                 bracket = on_grid(outcome, down, bool(endless[i]))
@@ -571,7 +564,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         gamma = spec.axis_values("gamma")
         i = int(np.searchsorted(gamma, down))
         spacing = float(gamma[i] - gamma[i - 1]) if i else 0.0
-    above, slack = down - prediction.down, ROUNDING * prediction.down
+    above, slack = down - prediction.down, selection.ROUNDING * prediction.down
     if -slack <= above <= spacing + slack:
         return ""
     if above < 0.0:

@@ -15,14 +15,7 @@ from kernel.params import Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import LINES
-from service.views import proofs
-from service.views.selection import (
-    Stored,
-    check_kernel,
-    directions_of,
-    nearest_index,
-    read_stored,
-)
+from service.views import proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variables
 from service.views.view import Estimate, FirstDirection, Number, Query, View
 from worker.analysis.cycles import cycle_near
@@ -278,10 +271,9 @@ class TrajectoryQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: FirstDirection = None
-    attractor: Annotated[
-        int | None,
-        Field(ge=1, description="of a job of basins or multistability: which attractor of the cell, from 1"),
-    ] = None
+    attractor: int | None = Field(
+        None, ge=1, description="of a job of basins or multistability: which attractor of the cell, from 1"
+    )
     periods: Annotated[int, Field(ge=1, le=1000, description="plate periods")] = 4
     samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES, description="per plate period")] = 200
     prove: Annotated[bool, Field(description="the cycle that the cell is on, with a proof")] = False
@@ -290,7 +282,7 @@ class TrajectoryQuery(Query):
 _Spec = SweepSpec | BasinSpec | MultistabilitySpec
 
 
-def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
+def compute(study: selection.Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     """The motion of one cell of a job.
 
     As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
@@ -298,7 +290,7 @@ def compute(study: Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
     stored state is where the computation stopped.
     """
-    check_kernel(study.kernel_version)
+    selection.check_kernel(study.kernel_version)
     return motion(_cell(study.spec, query), _start(study, query))
 
 
@@ -311,7 +303,7 @@ def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
 
 def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     """The cell of the grid and its samples. Only a cell of a sweep from rest settles again, as it did."""
-    values = {axis: nearest_index(spec, axis, getattr(query, axis)).value for axis in AXES}
+    values = {axis: selection.nearest_index(spec, axis, getattr(query, axis)).value for axis in AXES}
     settle = 0
     if not isinstance(spec, SweepSpec):
         if query.attractor is None:
@@ -325,12 +317,12 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     return TrajectorySpec(**values, model=spec.model, settle=settle, **sampling)
 
 
-def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
+def _start(study: selection.Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
     """The stored state of the attractor, or at the end of a ramp's window; None for a cell from rest."""
     spec = study.spec
-    indices = {axis: nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
+    indices = {axis: selection.nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
     if query.attractor is not None:
-        arrays = read_stored(study, ("attractor_outcome", "attractor_state"), indices)
+        arrays = selection.read_stored(study, ("attractor_outcome", "attractor_state"), indices)
         stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
         if query.attractor > stored:
             rule = f"must be from 1 to {stored}: the attractors of this cell"
@@ -339,7 +331,7 @@ def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] 
     if not isinstance(spec, SweepSpec) or spec.ramp_axis is None:
         return None
     names = (schema.OUTCOME.name, schema.END_STATE.name)
-    arrays = read_stored(study, names, {"direction": _direction(spec, query), **indices})
+    arrays = selection.read_stored(study, names, {"direction": _direction(spec, query), **indices})
     if arrays[schema.OUTCOME.name] == Outcome.MISSING:
         raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
     _check_ended("gamma", int(arrays[schema.OUTCOME.name]))
@@ -347,7 +339,7 @@ def _start(study: Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] 
 
 
 def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
-    return spec.directions.index(directions_of(spec, query.direction)[0])
+    return spec.directions.index(selection.directions_of(spec, query.direction)[0])
 
 
 def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np.float64], Branch]:
@@ -396,8 +388,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     above.set_ylabel("height (plate amplitudes)")
     above.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     below.plot(periods, result.force.values, color="black")
-    below.set_ylabel(r"force ($mA\omega^2$)")
-    below.set_xlabel("plate periods")
+    below.set(xlabel="plate periods", ylabel=r"force ($mA\omega^2$)")
 
 
 VIEW: Final = View(

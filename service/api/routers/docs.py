@@ -10,6 +10,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 from service.api.openapi import EXAMPLES
+from worker.sweep import SweepSpec
 
 router = APIRouter(include_in_schema=False)
 
@@ -68,7 +69,7 @@ def docs(request: Request) -> HTMLResponse:
         about=escape(schemas["SweepSpec"]["description"].split("\n")[0]),
         example=_EXAMPLE.format(
             address=escape(str(request.base_url)),
-            specification=escape(json.dumps(EXAMPLES["SweepSpec"], indent=1), quote=False),
+            specification=escape(json.dumps(EXAMPLES[SweepSpec], indent=1), quote=False),
         ),
         specification=_fields(schemas),
         operations="\n".join(_operation(*operation, schemas) for operation in operations),

@@ -2,8 +2,8 @@
 
 import json
 import time
-from collections.abc import AsyncIterator, Sequence
-from typing import Annotated, Final
+from collections.abc import AsyncIterator, Callable
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -25,14 +25,23 @@ from service.errors import InvalidRequest
 from service.formats import MOST_SHARED
 from service.jobs.manager import Submission
 from service.jobs.stores.sharing import import_shared
-from service.ledger.model import UNFINISHED, Failure, JobRecord
-from worker.executors.base import Compiling
+from service.ledger.model import UNFINISHED, JobRecord
 from worker.maps.window import Window
 from worker.studies import from_json
 from worker.study import Cost as StudyCost
 from worker.sweep import SweepSpec
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
+
+
+def _post(
+    path: str, summary: str, *problems: int, statuses: tuple[int, ...] = (200,), **options: Any
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Route a POST that answers with a job. `statuses`: of success, the usual one first."""
+    responses = {status: {"model": JobView} for status in statuses[1:]} | problem_responses(*problems)
+    about: dict[str, Any] = {"summary": summary, "response_model": JobView, "responses": responses}
+    return router.post(path, status_code=statuses[0], **about, **options)
+
 
 #: How often a shared file is in memory while it is imported: as text, as bytes, decoded.
 _COPIES: Final = 4
@@ -81,7 +90,7 @@ def submit_job(
             raise InvalidRequest.of("budget", "has no Idempotency-Key: a repeated request joins it anyway")
         return _submitted(Submission(service.budgets.begin(spec, query.budget, owner), accepted=True))
     submission = service.manager.submit(spec, idempotency_key, owner)
-    service.budgets.leave(submission.job.id)
+    service.budgets.own.discard(submission.job.id)
     return _submitted(submission)
 
 
@@ -91,14 +100,10 @@ _PAGE: Final = {
 }
 
 
-@router.post(
-    "/imports",
-    summary="Import a shared file",
-    status_code=201,
-    response_model=JobView,
-    responses={200: {"model": JobView}, **problem_responses(408, 409, 413, 415, 422, 429)},
+@_post(
+    "/imports", "Import a shared file", 408, 409, 413, 415, 422, 429, statuses=(201, 200),
     openapi_extra={"requestBody": _PAGE},
-)
+)  # fmt: skip
 @costly(Cost(_COPIES * MOST_SHARED), "export")
 def import_file(service: ServiceDep, body: PageBody) -> Response:
     """The sweep in a file of `export?format=html` as a done job, 200 if it was there.
@@ -151,7 +156,8 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     # Weak, because the estimated time left changes without it.
     reached = None if budget is None else schemas.BudgetView.model_validate(budget)
     tag(request, *job.revision, len(failures), notice, compiled, reached, weak=True, headers=headers)
-    return _job_response(job, 200, headers, failures, notice, compiling, reached)
+    about = {"failures": failures, "notice": notice, "compiling": compiling, "budget": reached}
+    return _job_response(job, 200, headers, **about)
 
 
 @router.delete(
@@ -162,25 +168,13 @@ def delete_job(service: ServiceDep, job: JobDep) -> None:
     service.manager.delete(job.id)
 
 
-@router.post(
-    "/jobs/{job_id}/cancel",
-    summary="Cancel a job",
-    status_code=202,
-    response_model=JobView,
-    responses=problem_responses(404, 409),
-)
+@_post("/jobs/{job_id}/cancel", "Cancel a job", 404, 409, statuses=(202,))
 def cancel_job(service: ServiceDep, job: JobDep) -> Response:
     """Stops the job; the chunks that are done are kept."""
     return _job_response(service.manager.cancel(job.id), 202)
 
 
-@router.post(
-    "/jobs/{job_id}/resume",
-    summary="Resume a job",
-    status_code=202,
-    response_model=JobView,
-    responses={200: {"model": JobView}, **problem_responses(404, 409, 413, 422, 429)},
-)
+@_post("/jobs/{job_id}/resume", "Resume a job", 404, 409, 413, 422, 429, statuses=(202, 200))
 def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     """A failed or cancelled job computes the chunks that are missing; 200 if it is queued or running.
 
@@ -194,42 +188,28 @@ def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     return _job_response(record, 202 if accepted else 200, headers, notice=notice)
 
 
-@router.post(
-    "/jobs/{job_id}/pin", summary="Pin a job", response_model=JobView, responses=problem_responses(404)
-)
+@_post("/jobs/{job_id}/pin", "Pin a job", 404)
 def pin_job(service: ServiceDep, job: JobDep) -> Response:
     """Marks the job, so that lists can show it apart; repeating the request changes nothing."""
     return _job_response(service.manager.pin(job.id, True), 200)
 
 
-@router.post(
-    "/jobs/{job_id}/unpin", summary="Unpin a job", response_model=JobView, responses=problem_responses(404)
-)
+@_post("/jobs/{job_id}/unpin", "Unpin a job", 404)
 def unpin_job(service: ServiceDep, job: JobDep) -> Response:
     """Takes the mark away; repeating the request changes nothing."""
     return _job_response(service.manager.pin(job.id, False), 200)
 
 
-@router.post(
-    "/jobs/{job_id}/rename",
-    summary="Rename a job",
-    response_model=JobView,
-    responses=problem_responses(400, 404, 413, 415, 422),
-    openapi_extra=json_body("NewName"),
-)
+@_post("/jobs/{job_id}/rename", "Rename a job", 400, 404, 413, 415, 422, openapi_extra=json_body("NewName"))
 def rename_job(service: ServiceDep, job: JobDep, body: JsonBody) -> Response:
     """Gives the job another name. Its id and numbers stay; a store written before keeps the title it has."""
     return _job_response(service.manager.rename(job.id, schemas.NewName.from_json(body).name), 200)
 
 
-@router.post(
-    "/jobs/{job_id}/refine",
-    summary="Refine a window of a sweep's map",
-    status_code=202,
-    response_model=JobView,
-    responses={200: {"model": JobView}, **problem_responses(400, 404, 413, 415, 422, 429)},
-    openapi_extra=json_body("Window"),
-)
+@_post(
+    "/jobs/{job_id}/refine", "Refine a window of a sweep's map", 400, 404, 413, 415, 422, 429,
+    statuses=(202, 200), openapi_extra=json_body("Window"),
+)  # fmt: skip
 def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
     """Submits an adaptive sweep of a window of the (Γ, Ω) map, on a grid `finer` times as fine.
 
@@ -277,17 +257,10 @@ async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[S
 
 
 def _job_response(
-    job: JobRecord,
-    status: int,
-    headers: dict[str, str] | None = None,
-    failures: Sequence[Failure] = (),
-    notice: str | None = None,
-    compiling: Compiling | None = None,
-    budget: schemas.BudgetView | None = None,
+    job: JobRecord, status: int, headers: dict[str, str] | None = None, **about: Any
 ) -> Response:
-    view = job_view(job, failures=failures, notice=notice, compiling=compiling)
-    content = view.model_copy(update={"budget": budget}).model_dump_json()
-    return Response(content, status, headers, "application/json")
+    """The job as `job_view` describes it."""
+    return Response(job_view(job, **about).model_dump_json(), status, headers, "application/json")
 
 
 def _retry_after(job: JobRecord) -> int:

@@ -68,18 +68,16 @@ def test_the_fields_of_a_sweep_have_meanings_and_defaults(document: dict[str, An
     assert schema["properties"]["observe"]["minimum"] == 1
 
 
-@for_each("name", EXAMPLES)
-def test_examples_are_accepted(document: dict[str, Any], name: str):
-    (example,) = document["components"]["schemas"][name]["examples"]
+@for_each("model", EXAMPLES)
+def test_examples_are_accepted(document: dict[str, Any], model: Any):
+    (example,) = document["components"]["schemas"][model.__name__]["examples"]
     text = json.dumps(example)
-    if name == "Window":
-        Window.from_json(text)
-    elif name == "NewName":
-        NewName.from_json(text)
-    elif name == "TrajectorySpec":
+    if model in (Window, NewName):
+        model.from_json(text)
+    elif model is TrajectorySpec:
         TrajectorySpec(**json.loads(text))
     else:
-        assert type(from_json(text)).__name__ == name
+        assert type(from_json(text)) is model
 
 
 @pytest.mark.parametrize("token", [None, "a-token-of-the-service"])
