@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from worker.maps.refinement import refine_of, tile_of
+from worker.maps.refinement import Tile, refine_of
 from worker.spec.refine import Refine
 from worker.study.chunks import LONGEST_SECONDS, Cost, Plan
 from worker.sweep.plan import cell_seconds, longest_cell_seconds
@@ -96,7 +96,7 @@ def first_round(spec: SweepSpec, plan: Plan) -> int:
         for n, size in zip(grid, plan.chunk_shape[1:], strict=True)
     )
     return xis * sum(
-        times * again * tile_of(spec, height, width).cells.size
+        times * again * Tile((height, width), refine_of(spec)).cells.size
         for height, times in rows.items()
         for width, again in columns.items()
     )

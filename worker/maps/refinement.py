@@ -71,7 +71,7 @@ class Tile:
     `cells`: flat indices of the next cells to compute; none at the end.
     """
 
-    def __init__(self, shape: tuple[int, int], refine: Refine) -> None:
+    def __init__(self, shape: tuple[int, ...], refine: Refine) -> None:
         self._refine = refine
         self._computed: NDArray[np.bool_] = np.zeros(shape, np.bool_)
         self._wanted = self._computed.copy()
@@ -144,12 +144,7 @@ class Tile:
             self._wanted[point] = True
 
 
-def tile_of(spec: SweepSpec, rows: int, columns: int) -> Tile:
-    """A tile of a map, of `rows` and `columns` of cells."""
-    return Tile((rows, columns), refine_of(spec))
-
-
-def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:
+def _coarsest(shape: tuple[int, ...], width: int) -> _Blocks:
     """The first blocks of a tile, of `width` rows and columns; the last ones may be narrower."""
     rows, columns = (
         [(low, min(low + width, n - 1)) for low in range(0, max(n - 1, 1), width)] for n in shape
@@ -157,15 +152,10 @@ def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:
     return np.array([(*row, *column) for row in rows for column in columns], np.int64)
 
 
-def _corners(blocks: _Blocks) -> Iterator[_Points]:
-    """The four corners of every block, in the order of the rows."""
-    top, bottom, left, right = blocks.T
-    return ((row, column) for row in (top, bottom) for column in (left, right))
-
-
 def _vertices(blocks: _Blocks) -> list[_Points]:
-    """The corners and the centre of every block."""
-    return [*_corners(blocks), _centre(blocks)]
+    """The corners, in the order of the rows, and the centre of every block."""
+    top, bottom, left, right = blocks.T
+    return [*((row, column) for row in (top, bottom) for column in (left, right)), _centre(blocks)]
 
 
 def _centre(blocks: _Blocks) -> _Points:

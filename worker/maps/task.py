@@ -2,7 +2,7 @@
 
 import itertools
 
-from worker.maps.refinement import tile_of
+from worker.maps.refinement import Tile, refine_of
 from worker.study.chunks import Chunk, ChunkReport
 from worker.study.layout import COMPUTED, empty_record
 from worker.sweep.schema import MODE_ARRAYS, sizes
@@ -23,7 +23,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     work = Work(store_url, chunk, arrays, record)
     flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in record.items()}
     cells = {name: array.ravel() for name, array in cells_of(spec, chunk).items()}
-    tile = tile_of(spec, *chunk.shape[1:])
+    tile = Tile(chunk.shape[1:], refine_of(spec))
     finished = work.done
     for number in itertools.count():
         if not tile.cells.size:
