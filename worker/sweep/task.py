@@ -11,7 +11,6 @@ from kernel.params import Cell, Line, Outcome, Start
 from kernel.stopping import check
 from worker import store
 from worker.study.chunks import Chunk, ChunkReport, PredecessorMissing
-from worker.study.layout import empty_record
 from worker.sweep import schema
 from worker.sweep.plan import cells_at_once
 from worker.sweep.protocols import Ramp
@@ -30,11 +29,9 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     the slice of `OPTIONS`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells stay
     missing and the chunk can be run again.
     """
-    arrays = tuple(schema.arrays(spec))
-    record = empty_record(chunk.shape, arrays, schema.sizes(spec))
-    work = Work(store_url, chunk, arrays, record)
+    work = Work(store_url, chunk, tuple(schema.arrays(spec)), schema.sizes(spec))
     _compute_lines(spec, chunk, work, starts_of(spec, chunk, store_url))
-    return work.write(record)
+    return work.write()
 
 
 def _compute_lines(
