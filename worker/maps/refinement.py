@@ -28,14 +28,6 @@ _Points = tuple[NDArray[np.int64], NDArray[np.int64]]
 #: Rows and columns from the first to the last corner of the smallest blocks that are split.
 _SMALLEST: Final = 2
 
-#: Pairs of corners of these blocks, and the cell between: (row, column) from the first corner.
-_EDGES: Final = (
-    ((0, 0), (0, 1), (0, 2)),
-    ((0, 0), (1, 0), (2, 0)),
-    ((2, 0), (2, 1), (2, 2)),
-    ((0, 2), (1, 2), (2, 2)),
-)
-
 #: Classes of cells. By bouncing, several outcomes are one class; by mode, each outcome and each short mode
 #: is.
 _BOUNCES: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING)
@@ -123,10 +115,11 @@ class Tile:
         """Request the cells on the edges of the smallest blocks, where the corners or the centre differ."""
         top, left = blocks[:, 0], blocks[:, 2]
         centre = kinds[top + 1, left + 1]
-        for first, between, last in _EDGES:
-            ends = [kinds[top + row, left + column] for row, column in (first, last)]
-            differs = (ends[0] != ends[1]) | (ends[0] != centre)
-            self._wanted[top[differs] + between[0], left[differs] + between[1]] = True
+        for row, column in ((0, 1), (1, 0), (2, 1), (1, 2)):  # between two corners
+            corners = ((row, 0), (row, 2)) if column == 1 else ((0, column), (2, column))
+            first, last = (kinds[top + i, left + j] for i, j in corners)
+            differs = (first != last) | (first != centre)
+            self._wanted[top[differs] + row, left[differs] + column] = True
 
     def _want_vertices(self) -> None:
         for point in _vertices(self._blocks):
