@@ -17,25 +17,18 @@ CHAOTIC: Final = LABELS.index("chaotic")
 UNSTABLE: Final = LABELS.index("unstable")
 
 
-def exponent_resolution(observe: int) -> float:
-    """The |lambda_1| per plate period that a window of `observe` plate periods does not tell from zero.
-
-    Its variations grow or shrink by less than a factor e over the window.
-    """
-    return 1.0 / observe
-
-
 def label_codes(outcome: Any, lyapunov: Any, error: Any, observe: int) -> NDArray[np.uint8]:
     """The code in LABELS of cells (...), from their outcomes (...) and exponents (..., n >= 1).
 
     error: (...) the standard error of lambda_1. An aperiodic cell is quasi-periodic where |lambda_1| and
     twice its error are within the window's resolution, and chaotic where lambda_1 is above both. Otherwise it
     stays aperiodic: the window does not tell, or it approaches a cycle that is not found. A periodic cell is
-    unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are.
+    unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are. Below
+    the resolution, 1/observe per plate period, variations grow by less than a factor e over the window.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]
-    resolution, uncertainty = exponent_resolution(observe), 2.0 * np.asarray(error, np.float64)
+    resolution, uncertainty = 1.0 / observe, 2.0 * np.asarray(error, np.float64)
     aperiodic = codes == Outcome.APERIODIC
     codes[aperiodic & (np.abs(largest) <= resolution) & (uncertainty <= resolution)] = QUASI_PERIODIC
     codes[aperiodic & (largest > resolution) & (largest > uncertainty)] = CHAOTIC

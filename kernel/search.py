@@ -14,8 +14,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.creep import Crept, creep, rotation, run
-from kernel.cycles.any_contact import Followed, beside, both_ways, lies_on, repeats, seeds
-from kernel.cycles.contact_thresholds import lowest_stable, rest_ends
+from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats, seeds
+from kernel.cycles.contact_thresholds import above, lowest_stable, rest_ends
 from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
 from kernel.cycles.descent import Descent, cycle_of, descend, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
@@ -102,8 +102,7 @@ class _Search:
     def lowest(self) -> Searched:
         """Search below the last end until nothing is found."""
         for point in self._known():
-            if not any(lies_on(point, line) for line in self.lines):
-                self._follow(point)
+            self._follow(point)
         for _ in range(_ROUNDS):
             bound = self.bound
             self._look(bound * (1.0 - np.geomspace(_BELOW, 1.0 - _LOWEST, _GAMMAS)))
@@ -115,12 +114,8 @@ class _Search:
         """Cycles beside those of the closed form: stable ones, and those at folds, which may be few."""
         for periods in range(1, _NEAR_PERIODS + 1):
             yield from seeds(self.plate, self.omega, self.xi, periods)
-        for fold in closed_form(self.omega, self.xi).minima:
-            cell = Cell(fold.gamma * (1.0 + _ABOVE), self.omega, self.xi)
-            periods = fold.cycle.periods
-            point = beside(self.plate, start_on_cycle(cell, periods, fold.flight_time), periods)
-            if point is not None:
-                yield point
+        folds = closed_form(self.omega, self.xi).minima
+        yield from above(self.plate, self.omega, self.xi, folds, (_ABOVE,))
 
     def _look(self, values: Floats) -> None:
         """Starts at these Gammas: cycles beside their transients, and what survives."""
@@ -140,8 +135,7 @@ class _Search:
         else:
             line = run(self.plate, gamma, self.omega, self.xi, state, _FOLLOWED, 100)
         for point in self._cycles(found):
-            if not any(lies_on(point, line) for line in self.lines):
-                self._follow(point)
+            self._follow(point)
         for i in _lowest_of_each(line, gamma):
             cell = Cell(float(gamma[i]), self.omega, self.xi)
             self._down(cell, int(line.periods[i]), line.end_state[i])
@@ -164,22 +158,23 @@ class _Search:
         return sorted(points.values(), key=lambda point: (point.cycles.periods, len(point.letters)))
 
     def _follow(self, point: Point) -> None:
-        """The branch through a cycle, and the ends of all stable cycles on it."""
+        """The branch through a cycle, unless it is known, and the ends of all stable cycles on it."""
+        if any(lies_on(point, line) for line in self.lines):
+            return
         line = both_ways(point, (_DEEPEST * self.top, max(self.top, point.parameter)), _POINTS)
         self.lines.append(line)
         for event in line.events:
             mu = np.abs(event.point.multipliers()[0])
             if event.point.parameter >= self.bound or not mu < _CRITICAL:
                 continue
-            if event.kind is Kind.FOLD:
-                fold = fold_of(event)
-                if fold.curvature > 0.0 and fold.holds:
-                    self._ends(Descent(fold.gamma, fold, ""))
-            elif event.kind is Kind.FLIP:
-                for fold in folds_of_twice(event.point, self.bound):
-                    self._ends(Descent(fold.gamma, fold, ""))
+            folds = [fold_of(event)] if event.kind is Kind.FOLD else []
+            if event.kind is Kind.FLIP:
+                folds = folds_of_twice(event.point, self.bound)
             elif event.kind is Kind.NEIMARK_SACKER:
                 self._down(Cell(*event.point.cell), 0, event.point.state)
+            for fold in folds:
+                if fold.curvature > 0.0 and fold.holds:
+                    self._ends(Descent(fold.gamma, fold, ""))
         for lowest in lowest_stable(line):
             self._ends(descend(lowest))
 
@@ -195,9 +190,7 @@ class _Search:
         while self.carried < _CARRIED:
             cycle = cycle_from(self.plate, cell, periods, state) if 0 < periods <= _LONGEST else None
             if cycle is not None and cycle.stable:
-                point = cycle.begun(_first(cycle))
-                if not any(lies_on(point, line) for line in self.lines):
-                    self._follow(point)
+                self._follow(cycle.begun(_first(cycle)))
                 return
             self.carried += 1
             crept = creep(self.plate, cell, state, self.rng)

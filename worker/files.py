@@ -8,6 +8,7 @@ import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import IO, Final
 
@@ -57,7 +58,7 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
 @contextmanager
 def synced(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
     """A new file whose contents are on the disk after the block; its name is once its folder is synced."""
-    with open(path, "xb", opener=_private if private else None) as file:
+    with open(path, "xb", opener=partial(os.open, mode=0o600) if private else None) as file:
         yield file
         file.flush()
         os.fsync(file.fileno())
@@ -84,7 +85,3 @@ def sync(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
-
-
-def _private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)

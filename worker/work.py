@@ -9,7 +9,7 @@ import importlib
 import logging
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final
@@ -24,7 +24,7 @@ from kernel.trajectory import sample
 from worker import store
 from worker.spec.contact_models import CONTACT_MODELS, Contact
 from worker.study.chunks import LEAVING, OPTIONS, Chunk, ChunkCancelled, ChunkPaused, ChunkReport, report_of
-from worker.study.layout import Array
+from worker.study.layout import Array, empty_record
 
 log = logging.getLogger(__name__)
 
@@ -55,15 +55,21 @@ _Arrays = dict[str, NDArray[Any]]
 class Work:
     """Computes a chunk's lines and looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. `record`: the chunk's arrays, with its `done` first lines. Raises the
-    StoreError of storing it now: computing can take minutes.
+    The parts do not affect the results. `record`: the chunk's arrays, of `sizes` along their own dimensions,
+    with its `done` first lines. `beside`: arrays that checkpoints keep, too. Raises the StoreError of storing
+    it now: computing can take minutes.
     """
 
-    def __init__(self, store_url: str, chunk: Chunk, arrays: Iterable[Array], record: _Arrays) -> None:
+    def __init__(
+        self, store_url: str, chunk: Chunk, arrays: Sequence[Array], sizes: Mapping[str, int],
+        beside: _Arrays | None = None,
+    ) -> None:  # fmt: skip
         self._began, self._slice_began = time.perf_counter(), time.thread_time()
         store.check_chunk(store_url, chunk, arrays)
-        self._url, self._chunk, self.record = store_url, chunk, record
-        kept_seconds = sum(array.nbytes for array in record.values()) / KEPT_BYTES
+        self._url, self._chunk = store_url, chunk
+        self.record = empty_record(chunk.shape, arrays, sizes)
+        self._kept = self.record | (beside or {})
+        kept_seconds = sum(array.nbytes for array in self._kept.values()) / KEPT_BYTES
         self._slice_seconds = max(OPTIONS.get().slice_seconds, kept_seconds)
         self._next_check = -math.inf  # next check of the cancel flag
         self._steps, self.kernel_seconds = FIRST_STEPS, 0.0
@@ -78,17 +84,17 @@ class Work:
 
     def _save(self) -> _Arrays:
         """The arrays of a checkpoint, but for the line under way."""
-        record = self.record if self.done else {}
+        kept = self._kept if self.done else {}
         return {
             _SECONDS: np.array(self.seconds),
             _DONE: np.array(self.done),
-            **{_RECORD + name: array for name, array in record.items()},
+            **{_RECORD + name: array for name, array in kept.items()},
         }
 
     def _restore(self, saved: _Arrays) -> None:
         """Take back the arrays of a checkpoint. Raises KeyError or ValueError for any others."""
         self._before, self.done = saved[_SECONDS].reshape(2), int(saved[_DONE])
-        for name, array in self.record.items() if self.done else ():
+        for name, array in self._kept.items() if self.done else ():
             array[...] = saved[_RECORD + name]
         self._under_way = {name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)}
 
@@ -113,13 +119,13 @@ class Work:
             self.pause_if_due(run.save())
         return run.line
 
-    def write(self, record: _Arrays) -> ChunkReport:
+    def write(self) -> ChunkReport:
         """Store the chunk's arrays and remove its checkpoint."""
         chunk = self._chunk
-        store.write_chunk(self._url, chunk, record)
+        store.write_chunk(self._url, chunk, self.record)
         if self._has_checkpoint:
             store.remove_checkpoint(self._url, chunk.index)
-        report = report_of(chunk, record, self.seconds)
+        report = report_of(chunk, self.record, self.seconds)
         return replace(report, paused_seconds=float(self._before[0]))
 
     def check_cancelled(self) -> None:

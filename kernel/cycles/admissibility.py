@@ -64,16 +64,11 @@ class Check(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Times at which gap and n are sampled, and what they are combinations of."""
+    """Times at which gap and n of a spring are sampled, and what they are combinations of."""
 
     time: Floats  # (m,) rad from 0, between which they are cubics but for rounding
     gap: tuple[Floats, Floats]  # (4, m) each: `gap_terms` without the second derivatives
     force: tuple[Floats, Floats]  # (4, m) each: `force_terms`
-
-
-def samples(k: Spring, time: Floats) -> Samples:
-    """To be made once for a spring."""
-    return Samples(time, gap_terms(k, time)[:2], force_terms(k, time)[:2])
 
 
 def gap_terms(k: Spring, t: Array) -> tuple[Array, Array, Array]:
@@ -110,15 +105,10 @@ def force_weights(k: Spring, x: Orbit, t: Array) -> Array:
     n = 2/Gamma - Re(N z e^{i(T + t)}) + h'', with N = 1 + (w + i b) Q and z = c + i s; lengths in units of
     g/omega**2.
     """
-    sin, cos = np.sin(t), np.cos(t)
-    return force_from(k, x.q_land, x.v_land, x.c * cos - x.s * sin, x.c * sin + x.s * cos)
-
-
-def force_from(k: Spring, q: Array, v: Array, c: Array, s: Array) -> Array:
-    """`force_weights` of a contact that begins with q and v at Gamma e^{i phi} = c + i s."""
-    b, w = k.dashpot, k.stiffness
-    h = q + 1.0 / w - (k.q_re * c - k.q_im * s)
-    h1 = v + (k.q_re * s + k.q_im * c)
+    b, w, sin, cos = k.dashpot, k.stiffness, np.sin(t), np.cos(t)
+    c, s = x.c * cos - x.s * sin, x.c * sin + x.s * cos
+    h = x.q_land + 1.0 / w - (k.q_re * c - k.q_im * s)
+    h1 = x.v_land + (k.q_re * s + k.q_im * c)
     h2 = -b * h1 - w * h
     n_re, n_im = 1.0 + w * k.q_re - b * k.q_im, w * k.q_im + b * k.q_re
     return np.array([n_re * c - n_im * s, n_re * s + n_im * c, h2, -b * h2 - w * h1])
@@ -164,18 +154,6 @@ def check(
     return Check(reason.astype(np.uint8), gap, force)
 
 
-class _Turns(NamedTuple):
-    """Between which times (p,) a function falls and then rises."""
-
-    row: Ints  # of which orbit
-    left: Floats
-    right: Floats
-    value_left: Floats  # the function
-    value_right: Floats
-    slope_left: Floats
-    slope_right: Floats
-
-
 def _combined(weights: Floats, terms: Floats) -> Floats:
     """(n, m), of (4, n) and (4, m): too small a product to wake the threads of a BLAS library for."""
     return np.asarray(np.einsum("in,im->nm", weights, terms))
@@ -195,19 +173,18 @@ def deepest(
     down = slope < 0.0
     row, at = np.nonzero(down[:, :-1] & (slope[:, 1:] > 0.0) & inside[:, :-1])
     right = np.where(inside[row, at + 1], nodes[np.minimum(at + 1, m - 1)], end[row])
-    turns = _Turns(
-        row, nodes[at], right, value[row, at], value[row, at + 1], slope[row, at], slope[row, at + 1]
-    )
+    values, slopes = (value[row, at], value[row, at + 1]), (slope[row, at], slope[row, at + 1])
+    turns = np.array([nodes[at], right, *values, *slopes])
     before = np.maximum(inside.sum(axis=1) - 2, 0)
     each = np.arange(len(end))
     soft = _soft(value[each, before], slope[each, before], end_slope, end - nodes[before])
     if len(soft):
-        others = _near_end(k, terms, weights, offset, end, end_slope, nodes[before], soft)
-        turns = _Turns(*(np.concatenate(pair) for pair in zip(turns, others, strict=True)))
+        rows, others = _near_end(k, terms, weights, offset, end, end_slope, nodes[before], soft)
+        row, turns = np.concatenate([row, rows]), np.hstack([turns, others])
     time, depth = np.full(len(end), np.nan), np.full(len(end), np.inf)
-    row, left, right, u, v, slope_left, slope_right = turns
     if not len(row):
         return Condition(negative, time, depth)
+    left, right, u, v, slope_left, slope_right = turns
     width = right - left
     part, low = cubic_extremum(u, v, slope_left * width, slope_right * width, 1.0)
     where = left + part * width
@@ -238,8 +215,11 @@ def _soft(value: Floats, slope: Floats, end_slope: Floats, left: Floats) -> Ints
 def _near_end(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, first: Floats,
     rows: Ints,
-) -> _Turns:  # fmt: skip
-    """Where the functions of some rows fall and rise between `first` (n,) and the end, by more samples."""
+) -> tuple[Ints, Floats]:  # fmt: skip
+    """Where the functions of some rows fall and rise between `first` (n,) and the end, by more samples.
+
+    Returns their rows (p,), and the two times of each, rad, with the values and the slopes there (6, p).
+    """
     t = end[rows, None] - (end - first)[rows, None] * _APPROACH
     many = np.repeat(weights[:, rows], len(_APPROACH), axis=1)
     f, f1, _ = (np.einsum("in,in->n", many, x).reshape(t.shape) for x in terms(k, t.ravel()))
@@ -247,4 +227,5 @@ def _near_end(
     f = np.column_stack([f + offset[rows, None], np.zeros(len(rows))])
     f1 = np.column_stack([f1, end_slope[rows]])
     i, j = np.nonzero((f1[:, :-1] < 0.0) & (f1[:, 1:] > 0.0))
-    return _Turns(rows[i], t[i, j], t[i, j + 1], f[i, j], f[i, j + 1], f1[i, j], f1[i, j + 1])
+    turns = [t[i, j], t[i, j + 1], f[i, j], f[i, j + 1], f1[i, j], f1[i, j + 1]]
+    return rows[i], np.array(turns)

@@ -56,7 +56,7 @@ def thresholds_of(
         known = [fold for fold in ideal.minima if fold.periods == periods]
         if periods > 1 and not known:
             continue
-        lines = all_through(chain(seeds(plate, omega, xi, periods), _above(plate, omega, xi, known)), span)
+        lines = all_through(chain(seeds(plate, omega, xi, periods), above(plate, omega, xi, known)), span)
         if periods == 1 and lines:
             answer = answer._replace(jump=_jump(lines[0]))
         below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
@@ -80,11 +80,13 @@ def rest_ends(plate: Any, omega: float, xi: float) -> float:
     return 2.0 * (one - two) / drive if drive > 0.0 else math.inf
 
 
-def _above(plate: Any, omega: float, xi: float, folds: Sequence[Fold]) -> Iterator[Point]:
-    """Cycles of a contact above folds of the closed form."""
+def above(
+    plate: Any, omega: float, xi: float, folds: Sequence[Fold], aside: Sequence[float] = _ABOVE
+) -> Iterator[Point]:
+    """Cycles of a contact above folds of the closed form, of each the first one `aside`, relative."""
     for fold in folds:
-        for above in _ABOVE:
-            cell = Cell(fold.gamma * (1.0 + above), omega, xi)
+        for away in aside:
+            cell = Cell(fold.gamma * (1.0 + away), omega, xi)
             start = start_on_cycle(cell, fold.periods, fold.flight_time)
             point = beside(plate, start, fold.periods)
             if point is not None:

@@ -15,7 +15,8 @@ from kernel.cycles.admissibility import (
     combination,
     force_at_landing,
     force_slope,
-    samples,
+    force_terms,
+    gap_terms,
 )
 from kernel.cycles.closed_form import TWO_PI, Orbit, floquet, multipliers, orbit, stable
 from kernel.cycles.roots import Floats, Ints, Roots, roots
@@ -119,15 +120,8 @@ class Events(NamedTuple):
 
 Record = TypeVar("Record", bound=NamedTuple)
 
-#: The functions whose roots are events, in the order of `_tests`.
-KINDS: Final = (
-    Kind.FOLD,
-    Kind.FLIP,
-    Kind.NEIMARK_SACKER,
-    Kind.IMMEDIATE_TAKEOFF,
-    Kind.GRAZE_FLIGHT,
-    Kind.GRAZE_CONTACT,
-)
+#: The functions whose roots are events, in the order of `_tests`; the last three take two parameters.
+KINDS: Final = tuple(Kind)[:-3]
 _OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
 
 #: The index of the function after them: it is zero where Gamma is infinite.
@@ -268,7 +262,8 @@ def sampled(k: Spring, periods: int) -> Samples:
     which begins as its cube, dips within them.
     """
     t = flight_times(float(np.real(k.omega)), float(np.real(k.xi)), periods, SAMPLES, _SAMPLED)
-    return samples(k, np.sort([0.0, *t, 2.0 * t[0], 4.0 * t[0], 2.0 * t[1]]))
+    t = np.sort([0.0, *t, 2.0 * t[0], 4.0 * t[0], 2.0 * t[1]])
+    return Samples(t, gap_terms(k, t)[:2], force_terms(k, t)[:2])
 
 
 def _branch(k: Spring, periods: int, t: Floats, x: Orbit, violations: NDArray[np.uint8]) -> Branch:

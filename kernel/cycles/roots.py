@@ -50,18 +50,14 @@ def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Root
     """
     change = np.sign(value[:, :-1]) * np.sign(value[:, 1:]) < 0.0
     which, index = np.nonzero(change)
-    low, high = x[index], x[index + 1]
-    f_low, f_high = value[which, index], value[which, index + 1]
-    others, *pairs = _pairs(functions, x, value, slope, change)
-    which = np.concatenate([which, others])
-    low, high, f_low, f_high = (
-        np.concatenate([a, b]) for a, b in zip((low, high, f_low, f_high), pairs, strict=True)
-    )
+    others, pairs = _pairs(functions, x, value, slope, change)
+    ends = [x[index], x[index + 1], value[which, index], value[which, index + 1]]
+    which, brackets = np.concatenate([which, others]), np.hstack([ends, pairs])
     if not len(which):
         return Roots(np.empty(0, np.intp), np.empty(0))
-    root, error = _solve(functions, which, low, high, f_low, f_high)
+    root, error = _solve(functions, which, *brackets)
     with np.errstate(invalid="ignore"):
-        keep = np.abs(error) <= _SMALL * np.maximum(np.abs(f_low), np.abs(f_high))
+        keep = np.abs(error) <= _SMALL * np.abs(brackets[2:]).max(axis=0)
     which, root = which[keep], root[keep]
     order = np.lexsort((root, which))
     return Roots(which[order], root[order])
@@ -69,8 +65,8 @@ def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Root
 
 def _pairs(
     functions: Functions, x: Floats, value: Floats, slope: Floats, change: NDArray[np.bool_]
-) -> tuple[Ints, Floats, Floats, Floats, Floats]:
-    """Brackets around extrema between neighbours of the grid that lie beyond zero."""
+) -> tuple[Ints, Floats]:
+    """Functions (m,), and ends and values (4, m), of brackets around extrema that lie beyond zero."""
     left, right = value[:, :-1] * slope[:, :-1] < 0.0, value[:, 1:] * slope[:, 1:] > 0.0
     which, index = np.nonzero(~change & left & right)
     a, b = x[index], x[index + 1]
@@ -81,7 +77,7 @@ def _pairs(
     which = which[near]
     a, b, y, z, dy, dz = (v[near] for v in (a, b, y, z, dy, dz))
     if not len(which):
-        return which, a, b, y, z
+        return which, np.array([a, b, y, z])
     low, high, s_low, s_high = a.copy(), b.copy(), dy, dz
     with np.errstate(invalid="ignore", divide="ignore"):
         middle = a + (b - a) * cubic_extremum(y, z, dy, dz, np.sign(y))[0]
@@ -96,13 +92,7 @@ def _pairs(
     beyond = f * y < 0.0
     which = which[beyond]
     a, b, y, z, middle, f = (v[beyond] for v in (a, b, y, z, middle, f))
-    return (
-        np.concatenate([which, which]),
-        np.concatenate([a, middle]),
-        np.concatenate([middle, b]),
-        np.concatenate([y, f]),
-        np.concatenate([f, z]),
-    )
+    return np.tile(which, 2), np.hstack([[a, middle, y, f], [middle, b, f, z]])
 
 
 def _selected(functions: Functions, which: Ints, x: Floats) -> tuple[Floats, Floats]:

@@ -14,6 +14,7 @@ rest or periodic are also followed from their last states by `stepped`, which ha
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -27,12 +28,11 @@ from worker import store
 from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.analysis.deviation import deviations
 from worker.spec.contact_models import MIN_RESTITUTION, Auto, Contact, Soft, Stepped
+from worker.study import Chunk
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import mean_periods, period_seconds
-from worker.sweep.protocols import Ramp
-from worker.sweep.specification import start_of
-from worker.sweep.task import run_cells
+from worker.sweep.task import run_cells, starts_of
 from worker.work import FIRST_STEPS, plate_of
 
 #: Windows of the reference relative to the sweep's.
@@ -177,16 +177,10 @@ def _besides(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_
     key = outcome.astype(np.int64) + 16 * (grid["bounces"].astype(np.int64) + 2**20 * grid["periods"])
     beside = np.zeros(outcome.shape, bool)
     for axis in range(1, outcome.ndim):
-        differs = np.diff(key, axis=axis) != 0
-        low, high = ([slice(None)] * outcome.ndim for _ in range(2))
-        low[axis], high[axis] = slice(0, -1), slice(1, None)
-        beside[tuple(low)] |= differs
-        beside[tuple(high)] |= differs
-    corners = {
-        tuple(int(i) for i in index)
-        for index in np.ndindex(outcome.shape[0], *(2,) * (outcome.ndim - 1))
-        for index in [(index[0], *((n - 1) * i for n, i in zip(outcome.shape[1:], index[1:], strict=True)))]
-    }
+        differs, along = (np.moveaxis(x, axis, 0) for x in (np.diff(key, axis=axis) != 0, beside))
+        along[:-1] |= differs
+        along[1:] |= differs
+    corners = set(product(range(outcome.shape[0]), *({0, n - 1} for n in outcome.shape[1:])))
     cells = np.flatnonzero(beside)
     chosen = random.choice(cells, min(BESIDE, len(cells)), replace=False)
     places = sorted(corners | {tuple(map(int, np.unravel_index(i, outcome.shape))) for i in chosen})
@@ -327,24 +321,8 @@ def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:
 
 def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:
     """Where a cell of the sweep starts; None from rest."""
-    axis = spec.ramp_axis
-    if axis is None:
-        return None
-    direction, place = index[0], list(index)
-    at = 1 + AXES.index(axis)
-    down = spec.directions[direction] == "down"
-    first = len(spec.axis_values(axis)) - 1 if down else 0
-    if place[at] != first:
-        place[at] += 1 if down else -1
-    elif direction > 0:
-        place[0] -= 1  # a ramp down starts from the end of that up, at the same parameters
-    else:
-        on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
-        return None if on is None else start_of(_cell(spec, index), on.periods)
-    before = _read_cell(url, ("outcome", "end_state"), place)
-    if before["outcome"] == Outcome.DIVERGED:
-        return None
-    return Start(np.ascontiguousarray(before["end_state"]), _cell(spec, place))
+    direction, *cell = index
+    return starts_of(spec, Chunk(0, tuple((i, i + 1) for i in cell), direction), url).get((0, 0))
 
 
 def _read_cell(url: str, names: Sequence[str], cell: Sequence[int]) -> dict[str, _Array]:

@@ -5,6 +5,7 @@ property. With 0 of n they are the rule of three, 1 - 0.05**(1/n).
 """
 
 import math
+from bisect import bisect_left
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,23 +29,14 @@ def bounds(
         return (0.0, 1.0) if population else (0.0, 0.0)
     fewest, most = low, population - (sampled - high)
     # the fewest members with which a sample has `low` with a probability above ABOVE
-    first, last = fewest, most
-    while first < last:
-        middle = (first + last) // 2
-        if 1.0 - _at_most(low - 1, sampled, middle, population) > ABOVE:
-            last = middle
-        else:
-            first = middle + 1
-    lower = first
+    lower = fewest + bisect_left(
+        range(fewest, most), True, key=lambda n: 1.0 - _at_most(low - 1, sampled, n, population) > ABOVE
+    )
     # the most with which a sample has no more than `high` with a probability above BELOW
-    first, last = fewest, most
-    while first < last:
-        middle = (first + last + 1) // 2
-        if _at_most(high, sampled, middle, population) > below:
-            first = middle
-        else:
-            last = middle - 1
-    return lower / population, max(first, high) / population
+    upper = fewest + bisect_left(
+        range(fewest, most), True, key=lambda n: _at_most(high, sampled, n + 1, population) <= below
+    )
+    return lower / population, max(upper, high) / population
 
 
 def covered(sampled: int, population: int) -> float:

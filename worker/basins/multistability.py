@@ -16,9 +16,8 @@ from kernel.params import Line, Outcome
 from worker.basins.attractors import CYCLE_FLIGHTS, CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, sizes_of_attractors
 from worker.basins.specification import MAX_DROPS, MultistabilitySpec
-from worker.basins.starts import Steps, line_run, starts_of
+from worker.basins.starts import Steps, starts_of
 from worker.study.chunks import Chunk, ChunkReport
-from worker.study.layout import empty_record
 from worker.sweep import AXES
 
 #: Starts per run, in whole cells, few enough to lose little and use little memory.
@@ -157,12 +156,9 @@ class _Search:
         spec = self._spec
         lines, js = np.array(places, np.intp).reshape(-1, 2).T
         cells = (self._gamma[js], self._omega[lines], self._xi[lines])
-        settle = max(settle, spec.settle)
-        window = {"settle": settle, "observe": spec.observe, "settle_until": spec.until}
-        answer = self._work.answer(
-            lambda: line_run(spec, cells, states, keep=CYCLE_FLIGHTS, **window),
-            partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep),
-        )
+        window = {"settle": max(settle, spec.settle), "observe": spec.observe, "settle_until": spec.until}
+        reduce = partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep)
+        answer = self._work.answer(spec, cells, reduce, states=states, keep=CYCLE_FLIGHTS, **window)
         columns = [x if x.ndim > 1 else x.tolist() for x in map(answer.__getitem__, Reached._fields)]
         return [Reached(*fields) for fields in zip(*columns, strict=True)]
 
@@ -276,15 +272,14 @@ def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkRe
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
     the slice of `study.chunks.OPTIONS`, or a `store.StoreError`.
     """
-    record = empty_record(chunk.shape, FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED))
-    cycles = np.full((*chunk.shape, MAX_FOLLOWED, CYCLE), np.nan)
-    kept = record | {"cycle": cycles}
-    work = Steps(store_url, chunk, FOLLOWED_ARRAYS, kept)
-    _Search(spec, chunk, _Cells(kept), work).run()
+    beside = {"cycle": np.full((*chunk.shape, MAX_FOLLOWED, CYCLE), np.nan)}
+    work = Steps(store_url, chunk, FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED), beside)
+    record = work.record
+    _Search(spec, chunk, _Cells(record | beside), work).run()
     for name in ("next_up", "next_down"):
         record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed
     record["next_up"][..., -1, :] = record["next_down"][..., 0, :] = NOT_STARTED
     record["outcome"][...] = np.where(
         record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
     ).astype(np.uint8)
-    return work.write(record)
+    return work.write()

@@ -1,6 +1,6 @@
 """Starts of cells, and chunks computed in steps of one or more runs of many starts (docs/basins.md)."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -11,7 +11,6 @@ from kernel.line import LineRun
 from kernel.params import STATE_FIELDS, Line
 from worker.basins.specification import GridSpec
 from worker.spec.contact_models import Contact
-from worker.study import Array, Chunk
 from worker.work import Work, plate_of
 
 _ANSWER: Final = "answer/"
@@ -62,18 +61,23 @@ def contact_states(
 class Steps(Work):
     """The record of a chunk, its finished steps, and the answers of the step under way."""
 
-    def __init__(self, store_url: str, chunk: Chunk, arrays: Iterable[Array], record: _Arrays) -> None:
+    def __init__(self, *chunk: Any) -> None:
         self._answers: list[_Arrays] = []
         self._answered = 0
-        super().__init__(store_url, chunk, arrays, record)
+        super().__init__(*chunk)
 
-    def answer(self, run: Callable[[], LineRun], reduce: Callable[[Line], _Arrays]) -> _Arrays:
+    def answer(
+        self, spec: GridSpec, cells: Sequence[_Floats], reduce: Callable[[Line], _Arrays], **window: Any
+    ) -> _Arrays:
         """The part that `reduce` keeps of the step's next run, computed now or before.
 
+        Of starts, each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`, `states` (n, 6) too.
         Raises ChunkCancelled, ChunkPaused.
         """
         if self._answered == len(self._answers):
-            self._answers.append(reduce(self.compute(run())))
+            plate = plate_of(spec.model, *cells)
+            run = LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, **window)
+            self._answers.append(reduce(self.compute(run)))
             self.pause_if_due({})
         self._answered += 1
         return self._answers[self._answered - 1]
@@ -97,11 +101,3 @@ class Steps(Work):
                 number, field = name.removeprefix(_ANSWER).split("/")
                 answers.setdefault(int(number), {})[field] = array
         self._answers = [answers[number] for number in range(len(answers))]
-
-
-def line_run(
-    spec: GridSpec, cells: tuple[_Floats, _Floats, _Floats], states: _Floats, **window: Any
-) -> LineRun:
-    """A run of starts (n, 6), each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`."""
-    plate = plate_of(spec.model, *cells)
-    return LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, states=states, **window)

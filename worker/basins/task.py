@@ -5,18 +5,18 @@ A task computes whole cells, since attractors are distinguished among all starts
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import Line, Outcome
+from kernel.params import Cell, Line, Outcome
 from worker.basins.attractors import Found, Request, find
 from worker.basins.schema import BOX, LIFETIME, MAX_ATTRACTORS, OF_ATTRACTORS, basin_arrays, basin_sizes
 from worker.basins.specification import BasinSpec
-from worker.basins.starts import Steps, line_run, starts_of
+from worker.basins.starts import Steps, starts_of
 from worker.study.chunks import Chunk, ChunkReport
-from worker.study.layout import empty_record
 from worker.sweep import AXES
 
 _Arrays = dict[str, NDArray[Any]]
@@ -28,27 +28,23 @@ def run_chunk(spec: BasinSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     Continues from the chunk's checkpoint, if there is one. Raises `ChunkCancelled`, `ChunkPaused` after
     the slice of `study.chunks.OPTIONS`, or a `store.StoreError`.
     """
-    record = empty_record(chunk.shape, basin_arrays(spec), basin_sizes(spec))
     values = [spec.axis_values(axis)[span] for axis, span in zip(AXES, chunk.slices, strict=True)]
-    work = Steps(store_url, chunk, basin_arrays(spec), record)
+    work = Steps(store_url, chunk, basin_arrays(spec), basin_sizes(spec))
     for index in list(np.ndindex(chunk.shape))[work.done :]:
         xi, omega, gamma = (float(axis[i]) for axis, i in zip(values, index, strict=True))
-        basins = find(starts_of(spec, gamma, omega, xi), spec, _runner(spec, gamma, omega, xi, work))
-        _fill_in(spec, basins, record, index)
+        cell = Cell(gamma, omega, xi)
+        basins = find(starts_of(spec, *cell), spec, partial(_answer, spec, cell, work))
+        _fill_in(spec, basins, work.record, index)
         work.finish_step()
-    return work.write(record)
+    return work.write()
 
 
-def _runner(
-    spec: BasinSpec, gamma: float, omega: float, xi: float, work: Steps
-) -> Callable[[Request, Callable[[Line], _Arrays]], _Arrays]:
-    """Answers the requests of a search, first from the answers of earlier slices."""
-
-    def run(request: Request, reduce: Callable[[Line], _Arrays]) -> _Arrays:
-        gammas, omegas, xis = (np.full(len(request.states), value) for value in (gamma, omega, xi))
-        return work.answer(lambda: line_run(spec, (gammas, omegas, xis), **request._asdict()), reduce)
-
-    return run
+def _answer(
+    spec: BasinSpec, cell: Cell, work: Steps, request: Request, reduce: Callable[[Line], _Arrays]
+) -> _Arrays:
+    """The answer to a request of a search, first from the answers of earlier slices."""
+    cells = [np.full(len(request.states), value) for value in cell]
+    return work.answer(spec, cells, reduce, **request._asdict())
 
 
 def _fill_in(spec: BasinSpec, basins: Found, record: _Arrays, index: tuple[int, ...]) -> None:

@@ -4,11 +4,10 @@ import math
 from collections import Counter
 from typing import Final
 
-import numpy as np
-
-from worker.maps.refinement import refine_of, tile_of
+from worker.maps.refinement import Tile, refine_of
 from worker.spec.refine import Refine
 from worker.study.chunks import LONGEST_SECONDS, Cost, Plan
+from worker.study.layout import bytes_of
 from worker.sweep.plan import cell_seconds, longest_cell_seconds
 from worker.sweep.schema import arrays, bytes_per_cell
 from worker.sweep.specification import SweepSpec
@@ -62,20 +61,16 @@ def estimate(spec: SweepSpec, plan: Plan) -> Cost:
     cells, seconds = plan.cells, cell_seconds(spec)
     low, high = (math.ceil(share * cells) for share in computed_shares(spec, refine_of(spec)))
     refined = seconds + TILE_SECONDS * len(plan) / high
+    filled_in = bytes_of((array for array in arrays(spec) if not array.extra_dims), {})  # without fill values
     return Cost(
         cells=cells,
         chunks=len(plan),
-        bytes=high * bytes_per_cell(spec) + (cells - high) * _bytes_filled_in(spec),
+        bytes=high * bytes_per_cell(spec) + (cells - high) * filled_in,
         core_seconds=high * refined,
         longest_core_seconds=high * max(refined, longest_cell_seconds(spec)),
         computed_cells=(low, high),
         least_core_seconds=low * seconds,
     )
-
-
-def _bytes_filled_in(spec: SweepSpec) -> int:
-    """Stored bytes before compression of a cell filled in from its block, fill values left out."""
-    return sum(np.dtype(array.dtype).itemsize for array in arrays(spec) if not array.extra_dims)
 
 
 def computed_shares(spec: SweepSpec, refine: Refine) -> tuple[float, float]:
@@ -96,7 +91,7 @@ def first_round(spec: SweepSpec, plan: Plan) -> int:
         for n, size in zip(grid, plan.chunk_shape[1:], strict=True)
     )
     return xis * sum(
-        times * again * tile_of(spec, height, width).cells.size
+        times * again * Tile((height, width), refine_of(spec)).cells.size
         for height, times in rows.items()
         for width, again in columns.items()
     )

@@ -28,14 +28,6 @@ _Points = tuple[NDArray[np.int64], NDArray[np.int64]]
 #: Rows and columns from the first to the last corner of the smallest blocks that are split.
 _SMALLEST: Final = 2
 
-#: Pairs of corners of these blocks, and the cell between: (row, column) from the first corner.
-_EDGES: Final = (
-    ((0, 0), (0, 1), (0, 2)),
-    ((0, 0), (1, 0), (2, 0)),
-    ((2, 0), (2, 1), (2, 2)),
-    ((0, 2), (1, 2), (2, 2)),
-)
-
 #: Classes of cells. By bouncing, several outcomes are one class; by mode, each outcome and each short mode
 #: is.
 _BOUNCES: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING)
@@ -71,7 +63,7 @@ class Tile:
     `cells`: flat indices of the next cells to compute; none at the end.
     """
 
-    def __init__(self, shape: tuple[int, int], refine: Refine) -> None:
+    def __init__(self, shape: tuple[int, ...], refine: Refine) -> None:
         self._refine = refine
         self._computed: NDArray[np.bool_] = np.zeros(shape, np.bool_)
         self._wanted = self._computed.copy()
@@ -123,10 +115,11 @@ class Tile:
         """Request the cells on the edges of the smallest blocks, where the corners or the centre differ."""
         top, left = blocks[:, 0], blocks[:, 2]
         centre = kinds[top + 1, left + 1]
-        for first, between, last in _EDGES:
-            ends = [kinds[top + row, left + column] for row, column in (first, last)]
-            differs = (ends[0] != ends[1]) | (ends[0] != centre)
-            self._wanted[top[differs] + between[0], left[differs] + between[1]] = True
+        for row, column in ((0, 1), (1, 0), (2, 1), (1, 2)):  # between two corners
+            corners = ((row, 0), (row, 2)) if column == 1 else ((0, column), (2, column))
+            first, last = (kinds[top + i, left + j] for i, j in corners)
+            differs = (first != last) | (first != centre)
+            self._wanted[top[differs] + row, left[differs] + column] = True
 
     def _want_vertices(self) -> None:
         for point in _vertices(self._blocks):
@@ -144,12 +137,7 @@ class Tile:
             self._wanted[point] = True
 
 
-def tile_of(spec: SweepSpec, rows: int, columns: int) -> Tile:
-    """A tile of a map, of `rows` and `columns` of cells."""
-    return Tile((rows, columns), refine_of(spec))
-
-
-def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:
+def _coarsest(shape: tuple[int, ...], width: int) -> _Blocks:
     """The first blocks of a tile, of `width` rows and columns; the last ones may be narrower."""
     rows, columns = (
         [(low, min(low + width, n - 1)) for low in range(0, max(n - 1, 1), width)] for n in shape
@@ -157,15 +145,10 @@ def _coarsest(shape: tuple[int, int], width: int) -> _Blocks:
     return np.array([(*row, *column) for row in rows for column in columns], np.int64)
 
 
-def _corners(blocks: _Blocks) -> Iterator[_Points]:
-    """The four corners of every block, in the order of the rows."""
-    top, bottom, left, right = blocks.T
-    return ((row, column) for row in (top, bottom) for column in (left, right))
-
-
 def _vertices(blocks: _Blocks) -> list[_Points]:
-    """The corners and the centre of every block."""
-    return [*_corners(blocks), _centre(blocks)]
+    """The corners, in the order of the rows, and the centre of every block."""
+    top, bottom, left, right = blocks.T
+    return [*((row, column) for row in (top, bottom) for column in (left, right)), _centre(blocks)]
 
 
 def _centre(blocks: _Blocks) -> _Points:

@@ -2,11 +2,10 @@
 
 import itertools
 
-from worker.maps.refinement import tile_of
+from worker.maps.refinement import Tile, refine_of
 from worker.study.chunks import Chunk, ChunkReport
-from worker.study.layout import COMPUTED, empty_record
-from worker.sweep.schema import MODE_ARRAYS, sizes
-from worker.sweep.schema import arrays as stored_arrays
+from worker.study.layout import COMPUTED
+from worker.sweep.schema import MODE_ARRAYS, arrays, sizes
 from worker.sweep.specification import AXES, SweepSpec
 from worker.sweep.task import cells_of, compute
 from worker.work import Work
@@ -18,12 +17,10 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     Each round of the refinement is a line. Rounds that an earlier task computed are in the record; the
     refinement repeats them from there. Errors and checkpoints as in `worker.sweep.task`.
     """
-    arrays = tuple(stored_arrays(spec))
-    record = empty_record(chunk.shape, arrays, sizes(spec))
-    work = Work(store_url, chunk, arrays, record)
-    flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in record.items()}
+    work = Work(store_url, chunk, tuple(arrays(spec)), sizes(spec))
+    flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in work.record.items()}
     cells = {name: array.ravel() for name, array in cells_of(spec, chunk).items()}
-    tile = tile_of(spec, *chunk.shape[1:])
+    tile = Tile(chunk.shape[1:], refine_of(spec))
     finished = work.done
     for number in itertools.count():
         if not tile.cells.size:
@@ -33,8 +30,8 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
             for name, array in flat.items():
                 array[tile.cells] = 1 if name == COMPUTED else getattr(done, name)
             work.finish()
-        tile.split(*(record[name][0] for name in MODE_ARRAYS))
+        tile.split(*(work.record[name][0] for name in MODE_ARRAYS))
     source = tile.sources()
     for name in MODE_ARRAYS:
         flat[name][...] = flat[name][source]
-    return work.write(record)
+    return work.write()

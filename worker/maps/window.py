@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from worker.spec.axes import WHOLE, AxisValue, Number, Range
 from worker.spec.errors import BrokenRuleError, Problem, SpecInvalid, describe
-from worker.spec.refine import Margin, Refine
+from worker.spec.refine import Margin
 from worker.spec.specification import Document
 from worker.sweep import SweepSpec
 from worker.sweep.protocols import Rest
@@ -63,14 +63,10 @@ class Window(Document):
             rule = f"must be 'rest' to refine a window, and is {spec.protocol.kind!r} in this sweep"
             raise SpecInvalid([Problem("protocol.kind", rule)])
         spec = spec.today() if isinstance(spec, EarlierSweep) else spec
-        axes = {name: self._axis(spec, name) for name in ("gamma", "omega")}
-        refine = Refine.model_validate({"by": self.by})
+        axes = {axis: self._axis(spec, axis) for axis in ("gamma", "omega")}
         name = f"Window of {spec.name or 'sweep ' + job[:8]}"[:200]
-        fields = spec.as_submitted() | {"name": name, "xi": self._xi(spec), "parent": job}
-        plain = {
-            axis: value.model_dump() if isinstance(value, Range) else value for axis, value in axes.items()
-        }
-        return SweepSpec.parse(fields | plain | {"refine": refine.model_dump()})
+        fields = {"name": name, "xi": self._xi(spec), "parent": job, "refine": {"by": self.by}}
+        return SweepSpec.parse(spec.as_submitted() | fields | axes)
 
     def _axis(self, spec: SweepSpec, name: str) -> AxisValue:
         ends: list[float] | None = getattr(self, name)

@@ -13,7 +13,6 @@ from kernel.params import KernelInputError, Outcome
 from worker.orbits.schema import ARRAYS, KINDS, sizes
 from worker.orbits.specification import DIMS, OrbitsSpec
 from worker.study.chunks import Chunk, ChunkReport
-from worker.study.layout import empty_record
 from worker.work import Work
 
 
@@ -22,14 +21,14 @@ def run_chunk(spec: OrbitsSpec, chunk: Chunk, store_url: str) -> ChunkReport:
 
     Raises ChunkCancelled or a `store.StoreError`; then nothing of the chunk was written.
     """
-    record = empty_record(chunk.shape, ARRAYS, sizes(spec))
     xi, omega = (spec.axis_values(axis)[span] for axis, span in zip(DIMS, chunk.slices, strict=True))
-    work, began = Work(store_url, chunk, ARRAYS, record), time.perf_counter()
+    work, began = Work(store_url, chunk, ARRAYS, sizes(spec)), time.perf_counter()
     for i, j in np.ndindex(chunk.shape):
         work.check_cancelled()
-        _compute(spec, float(omega[j]), float(xi[i]), {name: x[i, j : j + 1] for name, x in record.items()})
+        cell = {name: array[i, j : j + 1] for name, array in work.record.items()}
+        _compute(spec, float(omega[j]), float(xi[i]), cell)
     work.kernel_seconds = time.perf_counter() - began
-    return work.write(record)
+    return work.write()
 
 
 def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[Any]]) -> None:

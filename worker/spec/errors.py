@@ -133,16 +133,12 @@ def _shorten(text: str, limit: int = 40) -> str:
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
-def _is_tag(part: object) -> bool:
-    return isinstance(part, str) and part.startswith("<")
-
-
 def _path(parts: Iterable[int | str]) -> str:
     path = ""
     for part in parts:
         if isinstance(part, int):
             path += f"[{part}]"
-        elif not _is_tag(part):
+        elif not part.startswith("<"):  # a tag
             name = part if part.isidentifier() and len(part) <= 40 else _shorten(repr(part))
             path += f".{name}" if path else name
     return path
@@ -167,7 +163,7 @@ def rule_of(entry: Mapping[str, Any]) -> str:
     cause = context.get("error")
     if isinstance(cause, ValueError):
         return str(cause)
-    rule = next((text for ending, text in _RULES.items() if kind.endswith(ending)), "is not allowed: {value}")
+    rule = next((text for ends, text in _RULES.items() if kind.endswith(ends)), "is not allowed: {value}")
     length = len(value) if isinstance(value, str) else 0
     # Text of a query may be a number; that of a specification, read strictly, breaks a rule as text.
     is_text = kind.endswith(("_type", "literal_error")) or not length or not is_number(str(value))
@@ -194,32 +190,25 @@ def code_of(kind: str) -> Code:
     return codes.get(kind, "rule")
 
 
-#: The texts for people, by how pydantic's name of a broken rule ends; of fields, queries and settings alike.
-_RULES: Final = {
-    "missing": "is required",
-    "extra_forbidden": "is not a parameter here",
-    "float_type": "must be a number, not {value}",
-    "float_parsing": "must be a number, not {value}",
-    "int_type": "must be a whole number, not {value}",
-    "int_parsing": "must be a whole number, not {value}",
-    "int_from_float": "must be a whole number, not {value}",
-    "bool_type": "must be true or false, not {value}",
-    "bool_parsing": "must be true or false, not {value}",
-    "date_parsing": "must be a day such as 2026-11-25, not {value}",
-    "datetime_parsing": "must be a day such as 2026-11-25, not {value}",
-    "string_type": "must be text, not {value}",
-    "string_too_short": "must have at least {min_length} characters, not {length}",
-    "string_unicode": "must be text that UTF-8 can write, without lone surrogates",
-    "string_too_long": "must have at most {max_length} characters, not {length}",
-    "string_pattern_mismatch": "must match {pattern}, not {value}",
-    "list_type": "must be a list, not {value}",
-    "tuple_type": "must be a list, not {value}",
-    "model_type": "must be a group of fields, not {value}",
-    "finite_number": "must be finite, not {value}",
-    "literal_error": "must be {expected}, not {value}",
-    "enum": "must be {expected}, not {value}",
-    "greater_than": "must be above {gt:g}, not {value}",
-    "greater_than_equal": "must be at least {ge:g}, not {value}",
-    "less_than": "must be below {lt:g}, not {value}",
-    "less_than_equal": "must be at most {le:g}, not {value}",
+#: The texts for people, by how pydantic's names of a broken rule end; of fields, queries and settings alike.
+_RULES: Final[dict[tuple[str, ...], str]] = {
+    ("missing",): "is required",
+    ("extra_forbidden",): "is not a parameter here",
+    ("float_type", "float_parsing"): "must be a number, not {value}",
+    ("int_type", "int_parsing", "int_from_float"): "must be a whole number, not {value}",
+    ("bool_type", "bool_parsing"): "must be true or false, not {value}",
+    ("date_parsing", "datetime_parsing"): "must be a day such as 2026-11-25, not {value}",
+    ("string_type",): "must be text, not {value}",
+    ("string_too_short",): "must have at least {min_length} characters, not {length}",
+    ("string_unicode",): "must be text that UTF-8 can write, without lone surrogates",
+    ("string_too_long",): "must have at most {max_length} characters, not {length}",
+    ("string_pattern_mismatch",): "must match {pattern}, not {value}",
+    ("list_type", "tuple_type"): "must be a list, not {value}",
+    ("model_type",): "must be a group of fields, not {value}",
+    ("finite_number",): "must be finite, not {value}",
+    ("literal_error", "enum"): "must be {expected}, not {value}",
+    ("greater_than",): "must be above {gt:g}, not {value}",
+    ("greater_than_equal",): "must be at least {ge:g}, not {value}",
+    ("less_than",): "must be below {lt:g}, not {value}",
+    ("less_than_equal",): "must be at most {le:g}, not {value}",
 }

@@ -38,23 +38,15 @@ def create(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> 
     `StoreConflict` if the store holds another job or has other chunks. `attrs` must not contain a time of
     day: the same layout must give the same bytes.
     """
-    _check_identity(url, layout)
+    identity = stored = layout.identity
+    with suppress(StoreMissing, StoreDamaged):
+        stored = read_attrs(url)
+    job, chunk_shape = stored.get("job"), stored.get("chunk_shape")
+    if job != identity.get("job"):
+        raise StoreConflict(f"{url}: holds job {job}, not {identity['job']}")
+    if chunk_shape != identity.get("chunk_shape"):
+        raise _other_chunks(url, f"is cut into chunks of {chunk_shape}, not {identity['chunk_shape']}")
     repair_metadata(url, layout, attrs)
-
-
-def _check_identity(url: str, layout: Layout) -> None:
-    """Raise StoreConflict if there is a store with another identity."""
-    identity = layout.identity
-    try:
-        attrs = read_attrs(url)
-    except (StoreMissing, StoreDamaged):
-        return
-    if attrs.get("job") != identity["job"]:
-        raise StoreConflict(f"{url}: holds job {attrs.get('job')}, not {identity['job']}")
-    if attrs.get("chunk_shape") != identity["chunk_shape"]:
-        raise _other_chunks(
-            url, f"is cut into chunks of {attrs.get('chunk_shape')}, not {identity['chunk_shape']}"
-        )
 
 
 def _other_chunks(url: str, rule: str) -> StoreConflict:

@@ -204,19 +204,6 @@ def _parts(text: str) -> Any:
         return text
 
 
-def common_attributes(spec: Any, title: str, model: str) -> dict[str, Any]:
-    """Attributes of every study's store; they depend on its specification alone."""
-    return {
-        "Conventions": "CF-1.11",
-        "title": spec.name or title,
-        "source": f"bouncing-spring, kernel version {KERNEL_VERSION}: numerical solution of the model",
-        "references": REFERENCE,
-        "kernel_version": KERNEL_VERSION,
-        "model": model,
-        "spec": spec.as_submitted(),
-    }
-
-
 def _ends(values: NDArray[Any]) -> str:
     first, last = (value if isinstance(value, str) else f"{value:g}" for value in (values[0], values[-1]))
     return first if len(values) == 1 else f"{first} to {last}"
@@ -286,6 +273,14 @@ def grid_layout(
         extra_sizes=sizes,
         arrays=arrays,
         coordinate_attrs=attrs | {name: about for name, (_, about) in coordinates.items()},
-        attributes=common_attributes(spec, title, model),
+        attributes={  # they depend on the specification alone
+            "Conventions": "CF-1.11",
+            "title": spec.name or title,
+            "source": f"bouncing-spring, kernel version {KERNEL_VERSION}: numerical solution of the model",
+            "references": REFERENCE,
+            "kernel_version": KERNEL_VERSION,
+            "model": model,
+            "spec": spec.as_submitted(),
+        },
         identity={"job": spec.job_id(KERNEL_VERSION), "chunk_shape": list(chunk_shape)},
     )

@@ -1,6 +1,6 @@
 """Computes a chunk of a sweep, stores it, and returns a report; repeated, it writes the same bytes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from kernel.params import Cell, Line, Outcome, Start
 from kernel.stopping import check
 from worker import store
 from worker.study.chunks import Chunk, ChunkReport, PredecessorMissing
-from worker.study.layout import empty_record
 from worker.sweep import schema
 from worker.sweep.plan import cells_at_once
 from worker.sweep.protocols import Ramp
@@ -30,11 +29,9 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     the slice of `OPTIONS`, `PredecessorMissing`, or a `store.StoreError`. In each case the chunk's cells stay
     missing and the chunk can be run again.
     """
-    arrays = tuple(schema.arrays(spec))
-    record = empty_record(chunk.shape, arrays, schema.sizes(spec))
-    work = Work(store_url, chunk, arrays, record)
-    _compute_lines(spec, chunk, work, _starts(spec, chunk, store_url))
-    return work.write(record)
+    work = Work(store_url, chunk, tuple(schema.arrays(spec)), schema.sizes(spec))
+    _compute_lines(spec, chunk, work, starts_of(spec, chunk, store_url))
+    return work.write()
 
 
 def _compute_lines(
@@ -58,9 +55,9 @@ def _compute_lines(
 def compute(spec: SweepSpec, work: Work, cells: _Arrays, starts: list[Start | None]) -> Line:
     """Compute a line to its end; any error notes its cells."""
     try:
-        return work.compute(_line_run(spec, cells["gamma"], cells["omega"], cells["xi"], starts))
+        return work.compute(_line_run(spec, [cells[name] for name in Cell._fields], starts))
     except Exception as error:
-        spans = [f"{name} {cells[name][0]:g} to {cells[name][-1]:g}" for name in ("gamma", "omega", "xi")]
+        spans = [f"{name} {cells[name][0]:g} to {cells[name][-1]:g}" for name in Cell._fields]
         error.add_note(f"in the cells {', '.join(spans)}")
         raise
 
@@ -79,28 +76,24 @@ def run_cells(
     None starts from rest. settle: plate periods before the window, if not the sweep's. Raises
     KernelInputError for values that the kernel does not accept.
     """
-    run = _line_run(spec, gamma, omega, xi, [start], settle)
+    run = _line_run(spec, (gamma, omega, xi), [start], settle)
     while not run.advance(FIRST_STEPS):
         check()
     return run.line
 
 
 def _line_run(
-    spec: SweepSpec,
-    gamma: NDArray[np.float64],
-    omega: NDArray[np.float64],
-    xi: NDArray[np.float64],
-    starts: list[Start | None],
-    settle: int | None = None,
+    spec: SweepSpec, cells: Sequence[NDArray[Any]], starts: list[Start | None], settle: int | None = None
 ) -> LineRun:
-    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start."""
+    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start.
+
+    cells: gamma, omega, xi (n,).
+    """
     carry = spec.ramp_axis is not None
     usual, observe = spec.window
     return LineRun(
-        np.ascontiguousarray(gamma),
-        np.ascontiguousarray(omega),
-        np.ascontiguousarray(xi),
-        plate=plate_of(spec.model, gamma, omega, xi),
+        *cells,
+        plate=plate_of(spec.model, *cells),
         carry=carry,
         settle=usual if settle is None else settle,
         observe=observe,
@@ -113,7 +106,7 @@ def _line_run(
     )
 
 
-def _starts(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
+def starts_of(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
     """The start of each line of a ramp's chunk; empty if all lines start from rest."""
     layer = _layer_before(spec, chunk)
     if layer is None:
@@ -150,16 +143,17 @@ def _cell(arrays: _Arrays, index: tuple[int, ...]) -> Cell:
 
 def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
     """The cells, one per line, that precede the chunk's first cells on the ramp."""
-    axis = spec.ramp_axis
-    if axis is None or chunk.after is None:
+    axis, direction = spec.ramp_axis, chunk.direction or 0
+    if axis is None:
         return None
     spans = dict(zip(AXES, chunk.spans, strict=True))
     low, high = spans[axis]
-    direction, position = chunk.direction or 0, low - 1
-    if spec.directions[direction] == "down":
-        is_last = high == len(spec.axis_values(axis))
+    position = high if spec.directions[direction] == "down" else low - 1
+    if not 0 <= position < len(spec.axis_values(axis)):
+        if direction == 0:
+            return None
         # A "down" ramp starts from the end of "up", whose last cell has the same parameters.
-        direction, position = (direction - 1, high - 1) if is_last else (direction, high)
+        direction, position = direction - 1, high - 1
     spans[axis] = position, position + 1
     return Chunk(chunk.index, tuple(spans.values()), direction)
 

@@ -11,7 +11,7 @@ from tables import for_each
 
 from kernel import interface
 from kernel.cycles.starts import cycles_at, start_on_cycle
-from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, exponent_resolution, label_codes
+from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, label_codes
 from kernel.models import rigid
 from kernel.models.contact_law import contact_constants
 from kernel.numerics.oscillator import motion
@@ -186,7 +186,6 @@ def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
 
 
 def test_labels_refine_aperiodic_and_unstable_cells_only():
-    assert exponent_resolution(100) == 0.01
     outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 8])
     largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan, 0.0, 0.3, 0.3])
     error = np.array([0.004] * (len(largest) - 3) + [0.006, 0.16, math.nan])
