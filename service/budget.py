@@ -118,7 +118,8 @@ def within(
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
-        raise SpecInvalid([Problem("budget", f"{rule}; {2.0 * max(asked, took, LEAST):.3g}s may work")])
+        enough = 2.0 * max(asked, took, LEAST, runner.seconds(part))
+        raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s are left"
     if left >= LEAST_AUDIT:

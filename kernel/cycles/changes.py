@@ -32,6 +32,8 @@ _ENDS: Final = 1e-9
 _STEPS: Final = (1e-4, 1e-3, 1e-5)
 #: The same of a cycle of twice the period.
 _DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
+#: No unknown of the first cycle is further from the change.
+_BESIDE: Final = 0.2
 #: How long before n touches zero a mass that sticks lets go, rad.
 _EARLIER: Final = (2.5e-3, 7.5e-4, 7.5e-3, 2.5e-4)
 #: and phases of the kernel that it may then go through at most.
@@ -93,16 +95,18 @@ def _lowest(point: Point, i: int, since: float, until: float, samples: int) -> t
     return float(time), float(value)
 
 
-def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point] | None:
+def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point, Point] | None:
     """What happens at `point`, at which the margin is zero, and the first cycle with other segments.
 
-    Its tangent leads away. None if it is not known.
+    Its tangent leads away. Between the two the cycle at the change with the fewer segments: the others have
+    multipliers that a vanishing duration divides by zero. None if the first is not known.
     """
     margin(point)  # where it touches here
     for edit in _edits(margin.broken, margin.time, point):
         first = _first(edit)
         if first is not None:
-            return edit.kind, first
+            fewer = len(edit.cycles.letters) < len(point.letters)
+            return edit.kind, edit.cycles.on_branch(edit.x) if fewer else point, first
     return None
 
 
@@ -116,7 +120,7 @@ def _first(edit: _Edit) -> Point | None:
     for step in edit.steps:
         for way in ways:
             point = edit.cycles.newton(edit.x + step * way, way, float(way @ edit.x) + step)
-            if point is None:
+            if point is None or np.abs(point.x - edit.x).max() > _BESIDE:  # that of another branch
                 continue
             point, broken = confirmed(point.towards(way))
             if broken is None:
@@ -143,7 +147,7 @@ def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
             yield _replaced(kind, point, i, 1, letter + between + letter, parts, (-0.5, 1.0, -0.5))
         case "touches" if letter == "S":
             yield from _letting_go(point, i, time)
-        case "lands softly" if letter == "h" and i + 1 < len(letters):
+        case "lands softly" if letter in "hz" and i + 1 < len(letters):
             yield _replaced(Kind.GRAZE_FLIGHT, point, i, 2, after, (times[i] + times[i + 1],))
         case "lands softly" if letter == "F" and not point.cycles.plate.adhesive:
             yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, "b", (times[i],))

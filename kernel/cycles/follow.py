@@ -292,16 +292,16 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
         point = _root(last, stretch.step, margin)
         after = None if point is None else next_cycle(margin, point)
         if point is not None and after is not None:
-            kind, first = after
+            kind, at, first = after
             turns = point.towards(last.tangent).rising * first.rising < 0.0
-            return first, [Event(kind, point, turns, first.letters)]
+            return first, [Event(kind, at, turns, first.letters)]
     if "C" not in last.letters:
         return None, []
     shortest = int(np.argmin(last.times))
     if last.times[shortest] < _MINUTE:
         after = next_cycle(Margin(Broken("vanishes", shortest), last), last)
         if after is not None:
-            kind, first = after
+            kind, _, first = after
             turns = last.rising * first.rising < 0.0
             event = Event(kind, last, turns, first.letters)
             return first, [event] if _jump(last, first) else []

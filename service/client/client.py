@@ -154,28 +154,35 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             The time is too short for any level. Also raises as `submit` and `Job.wait`.
         """
         response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
-        last = Job(self._transport, json_object(response), response)
-        followed, doing = last.id, ""
+        levels, doing = [Job(self._transport, json_object(response), response)], ""
         try:
             while True:
-                last._refresh_in_time()
+                last = levels[-1]
+                try:
+                    last._refresh_in_time()
+                except errors.NotFound:  # somebody has deleted it; another level says how far the budget is
+                    levels.pop()
+                    if not levels:
+                        raise
+                    continue
                 reached = last.view.get("budget")
                 if reached is None:  # the service began anew: the level that it computed is the last one
-                    return self.job(followed).wait(progress)
+                    return last.wait(progress)
                 if progress and reached["doing"] != doing:
                     doing = reached["doing"]
                     display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
                 if reached["over"]:
                     break
-                followed = reached["computing"] or followed
-                if followed != last.id or not last.finished:
-                    with suppress(
-                        errors.JobCancelled, errors.JobFailed, errors.WaitTimeout
-                    ):  # what others asked for goes on
-                        last = self.job(followed).wait(progress, timeout=reached["seconds_left"])
+                # What others asked for goes on beyond its time.
+                with suppress(errors.JobCancelled, errors.JobFailed, errors.WaitTimeout, errors.NotFound):
+                    if reached["computing"] not in (None, last.id):
+                        last = self.job(reached["computing"])
+                        levels.append(last)
+                    if not last.finished:
+                        last.wait(progress, timeout=reached["seconds_left"])
                 time.sleep(FIRST_DELAY)
         except (KeyboardInterrupt, SystemExit) as interrupt:
-            interrupt.add_note(f"stopped waiting; the budget goes on (end it with: bounce cancel {followed})")
+            interrupt.add_note(f"stopped waiting; the budget goes on (end it with: bounce cancel {last.id})")
             raise
         if reached["answer"] is None:
             if last.state == "failed":

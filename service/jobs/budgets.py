@@ -141,11 +141,12 @@ class Budget:
         if not self.first.done():
             self.first.set_result(job)
         record = self._ended(job, deadline)
+        if record is None and self._budgets.may_cancel(job.id) and not self._budgets.stopping.is_set():
+            self._budgets.manager.cancel(job.id)
+        self.computing = None
         if record is not None and record.state is JobState.DONE:
             self.answer = job.id
             return True
-        if record is None and self._budgets.may_cancel(job.id) and not self._budgets.stopping.is_set():
-            self._budgets.manager.cancel(job.id)
         if record is not None and self.answer is None:
             raise RunFailed(record.error or "the first level was cancelled")
         return False

@@ -88,10 +88,9 @@ def submit_job(
     if query.budget is not None:
         if idempotency_key is not None:
             raise InvalidRequest.of("budget", "has no Idempotency-Key: a repeated request joins it anyway")
-        return _submitted(Submission(service.budgets.begin(spec, query.budget, owner), accepted=True))
-    submission = service.manager.submit(spec, idempotency_key, owner)
-    service.budgets.own.discard(submission.job.id)
-    return _submitted(submission)
+        job = service.budgets.begin(spec, query.budget, owner)
+        return _submitted(service, Submission(job, accepted=True), kept=False)
+    return _submitted(service, service.manager.submit(spec, idempotency_key, owner))
 
 
 _PAGE: Final = {
@@ -114,12 +113,17 @@ def import_file(service: ServiceDep, body: PageBody) -> Response:
     return _job_response(job, 201 if is_new else 200, {"Location": f"/v1/jobs/{job.id}"})
 
 
-def _submitted(submission: Submission) -> Response:
+def _submitted(
+    service: ServiceDep, submission: Submission, *, kept: bool = True, notice: str | None = None
+) -> Response:
+    """kept: whether somebody asks for the job itself, so that no budget cancels it."""
     job, accepted = submission
+    if kept:
+        service.budgets.own.discard(job.id)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(_retry_after(job))
-    return _job_response(job, 202 if accepted else 200, headers)
+    return _job_response(job, 202 if accepted else 200, headers, notice=notice)
 
 
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
@@ -181,11 +185,10 @@ def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
     A job of another kernel version starts anew as a job of this one: the response describes the new job,
     whose address is in `Location`.
     """
-    record, accepted = service.manager.resume(job.id, owner)
-    service.budgets.leave(record.id)
-    headers = {"Location": f"/v1/jobs/{record.id}"}
-    notice = None if record.id == job.id else f"starts anew what job {job.id} is: {job.notice}"
-    return _job_response(record, 202 if accepted else 200, headers, notice=notice)
+    submission = service.manager.resume(job.id, owner)
+    same = submission.job.id == job.id
+    notice = None if same else f"starts anew what job {job.id} is: {job.notice}"
+    return _submitted(service, submission, notice=notice)
 
 
 @_post("/jobs/{job_id}/pin", "Pin a job", 404)
@@ -221,7 +224,7 @@ def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep
             "job_id", f"must be a sweep; the protocol of this job is {spec.protocol.kind}"
         )
     window = Window.from_json(body).of(spec, job.id)
-    return _submitted(service.manager.submit(window, None, owner))
+    return _submitted(service, service.manager.submit(window, None, owner))
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:

@@ -80,5 +80,5 @@ def test_a_doubled_cycle_ends_where_its_second_flight_vanishes():
     line, events = follow(doubled(first.point), 1.0, span=(1.0, 4.0))
     assert gammas(events, Kind.FLIP)[:2] == pytest.approx(word["flip"], abs=1e-8)
     change = next(event for event in events if event.kind is Kind.GRAZE_CONTACT)
-    assert (len(change.letters), change.point.letters) == (2, "SsSs")
+    assert (len(change.letters), change.point.letters) == (2, "Ss")
     assert line[-1].cycles.periods == 2
