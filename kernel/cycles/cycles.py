@@ -124,9 +124,9 @@ class Point(NamedTuple):
         with np.errstate(all="ignore"):
             for i in range(n):  # an event depends on the durations up to its own
                 times[i] = (times[i] - events[i, START : START + i] @ times[:i]) / events[i, START + i]
-        whole = np.eye(4)
-        whole[:3] += by_start(final) + final[:, START : START + n] @ times
-        whole[3] += times.sum(axis=0)
+            whole = np.eye(4)
+            whole[:3] += by_start(final) + final[:, START : START + n] @ times
+            whole[3] += times.sum(axis=0)
         if not np.isfinite(whole).all():
             return np.full(4, np.inf, np.complex128)
         found = np.linalg.eigvals(whole).astype(np.complex128)
