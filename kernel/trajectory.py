@@ -81,9 +81,8 @@ def sample(
     times = begin + np.arange(periods * samples + 1, dtype=np.float64) * (TWO_PI / samples)
     first = rest(spring) if state is None else State(*map(float, state[2:]))
     here = _Point(begin, 0, bool(flies(spring, plate_phase(begin), first)), first)
-    under_way = (
-        here.in_flight and state is not None and state[1] != 0.0
-    )  # a flight from before is not counted
+    # a flight from before is not counted
+    under_way = here.in_flight and state is not None and state[1] != 0.0
     points = np.full((4, len(times)), np.nan)
     in_flight = np.zeros(len(times), np.bool_)
     flights: list[tuple[float, float]] = []

@@ -120,7 +120,7 @@ class Events(NamedTuple):
 
 Record = TypeVar("Record", bound=NamedTuple)
 
-#: The functions whose roots are events, in the order of `_tests`; the last three take two parameters.
+#: The functions whose roots are events, in the order of `_tests`: all kinds but those of codimension 2.
 KINDS: Final = tuple(Kind)[:-3]
 _OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
 

@@ -1,6 +1,7 @@
 """Folds at which stable cycles end on the way down, and the ghost that bouncing leaves below one."""
 
 import math
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -83,9 +84,8 @@ def lifetime(fold: Fold, below: float) -> float:
     return cycles * fold.periods
 
 
-def minima(k: Spring, events: Events, below: float) -> list[Fold]:
+def minima(k: Spring, events: Events, below: float) -> Iterator[Fold]:
     """The folds of a (1,k) branch below a Gamma that are minima of it."""
-    folds = []
     for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
         t, n = float(events.flight_time[i]), int(events.periods[i])
         step = _DIFFERENCE * t
@@ -97,13 +97,10 @@ def minima(k: Spring, events: Events, below: float) -> list[Fold]:
         other = float(f.det[0])  # the product of both
         slope = float((f.trace1[0] - f.det1[0]) / (1.0 - other))
         balance = energy(float(np.real(k.omega)), float(np.real(k.xi)), n, np.array([t]))
-        folds.append(
-            Fold(
-                one_flight(k, n, t), t, float(events.gamma[i]), other, curvature, slope,
-                int(events.violations[i]), balance,
-            )
+        yield Fold(
+            one_flight(k, n, t), t, float(events.gamma[i]), other, curvature, slope,
+            int(events.violations[i]), balance,
         )  # fmt: skip
-    return folds
 
 
 def one_flight(k: Spring, periods: int, flight_time: float) -> Cycle:

@@ -201,9 +201,8 @@ class _LastCycle(NamedTuple):
     def leads_to(self, fold: Fold) -> bool:
         """Whether a fold that is not admissible lies beyond."""
         low, high = self.beyond
-        return (
-            fold.periods == self.within.periods and bool(fold.violations) and low <= fold.flight_time <= high
-        )
+        on_branch = fold.periods == self.within.periods and low <= fold.flight_time <= high
+        return on_branch and bool(fold.violations)
 
 
 def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[_LastCycle]:

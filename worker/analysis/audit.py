@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.line import LineRun
-from kernel.params import Cell, Line, Outcome, Start
+from kernel.params import Cell, Line, Outcome, Start, empty_line
 from kernel.stopping import check
 from worker import store
 from worker.analysis.bisection import Status, endless_rest, on_grid
@@ -325,11 +325,6 @@ def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:
     return starts_of(spec, Chunk(0, tuple((i, i + 1) for i in cell), direction), url).get((0, 0))
 
 
-def _read_cell(url: str, names: Sequence[str], cell: Sequence[int]) -> dict[str, _Array]:
-    where: dict[str, Any] = dict(zip(CELL_DIMS, cell, strict=True))
-    return store.read_slice(url, names, complete=True, **where)
-
-
 def moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:
     """The same with each start moved by MOVED; from rest gamma is, which moves it as much."""
     there: list[Cell] = []
@@ -350,12 +345,11 @@ def _stored(spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: Sequence[
     """The stored record of the cells, of points that of the nearest."""
     exponents = ("lyapunov", "lyapunov_error") if spec.exponents else ()
     names = ("flight_time", "takeoff_phase", "flights", *exponents)
-    parts = [_read_cell(url, names, each.cell) for each in drawn]
-    n = len(drawn)
-    empty = {name: np.full(n, np.nan) for name in Line._fields} | {"lyapunov": np.empty((n, 0))}
+    cells: list[dict[str, Any]] = [dict(zip(CELL_DIMS, each.cell, strict=True)) for each in drawn]
+    parts = [store.read_slice(url, names, complete=True, **cell) for cell in cells]
     records = {name: np.stack([part[name] for part in parts]) for name in names}
     modes = {name: np.array([grid[name][each.cell] for each in drawn]) for name in schema.MODE_ARRAYS}
-    return Line(**{**empty, **records, **modes})
+    return empty_line(len(drawn), spec.keep, spec.exponents)._replace(**records, **modes)
 
 
 def _labels(spec: SweepSpec, line: Line, longer: int) -> NDArray[np.uint8]:

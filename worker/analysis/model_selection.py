@@ -136,9 +136,8 @@ def _candidates(auto: Auto) -> dict[str, Soft | Rigid | Ball]:
     """The models to choose from by kind, cheapest first."""
     ball, rigid = Ball(kind="ball"), Rigid(kind="rigid", restitution=auto.restitution)
     models: tuple[Soft | Rigid | Ball, ...] = (ball, rigid, auto.exact)
-    return {
-        model.kind: model for model in sorted(models, key=lambda model: CONTACT_MODELS[model.kind].cost_us)
-    }
+    ordered = sorted(models, key=lambda model: CONTACT_MODELS[model.kind].cost_us)
+    return {model.kind: model for model in ordered}
 
 
 def _auto(spec: SweepSpec) -> Auto:

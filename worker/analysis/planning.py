@@ -144,9 +144,8 @@ def _at(
     for setting in settings:
         nearest = [_nearest(setting, point) for point in points]
         record = _computed(setting.spec, nearest, shown)
-        wrong.append(
-            np.any([record[name] != getattr(true, name) for name in MODE_ARRAYS], axis=0) & ~undecided
-        )
+        differs = np.any([record[name] != getattr(true, name) for name in MODE_ARRAYS], axis=0)
+        wrong.append(differs & ~undecided)
     return wrong, undecided
 
 

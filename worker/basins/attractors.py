@@ -441,12 +441,8 @@ def _features(time: _Floats, phase: _Floats) -> tuple[_Floats, ...]:
 def ks_distance(a: _Floats, b: _Floats) -> float:
     """The two-sample statistic of Kolmogorov and Smirnov: 0 for equal, 1 for separate distributions."""
     both = np.sort(np.concatenate([a, b]))
-    return float(
-        np.abs(
-            np.searchsorted(np.sort(a), both, "right") / len(a)
-            - np.searchsorted(np.sort(b), both, "right") / len(b)
-        ).max()
-    )
+    below_a, below_b = (np.searchsorted(np.sort(x), both, "right") / len(x) for x in (a, b))
+    return float(np.abs(below_a - below_b).max())
 
 
 def _distance_of_rows(time: _Flights, phase: _Flights, pool_time: _Floats, pool_phase: _Floats) -> _Floats:

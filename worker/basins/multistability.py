@@ -279,7 +279,6 @@ def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkRe
     for name in ("next_up", "next_down"):
         record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed
     record["next_up"][..., -1, :] = record["next_down"][..., 0, :] = NOT_STARTED
-    record["outcome"][...] = np.where(
-        record["attractor_count"] > 0, Outcome.PERIODIC, Outcome.UNRESOLVED
-    ).astype(np.uint8)
+    found = record["attractor_count"] > 0
+    record["outcome"][...] = np.where(found, Outcome.PERIODIC, Outcome.UNRESOLVED)
     return work.write()

@@ -32,10 +32,8 @@ def plan_basins(
     """
     if chunk_shape is None:
         starts = spec.protocol.rows * spec.protocol.columns
-        seconds, size = (
-            starts * cell_seconds(_of_starts(spec)),
-            bytes_of(basin_arrays(spec), basin_sizes(spec)),
-        )
+        seconds = starts * cell_seconds(_of_starts(spec))
+        size = bytes_of(basin_arrays(spec), basin_sizes(spec))
         cells = max(1, int(min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size)))
         row = even(spec.shape[2], cells)
         chunk_shape = (1, max(1, cells // row), row)

@@ -149,11 +149,10 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
     contents = {}
     for name, array in record.items():
         form = forms[name]
-        contents[name] = encode(form, array.reshape(*lengths, *form.shape[len(lengths) :]), coords)
+        values = array.reshape(*lengths, *form.shape[len(lengths) :])
+        contents[chunk_key(name, len(form.dims), coords)] = encode(form, values, coords)
     try:
-        write_keys(
-            url, {chunk_key(name, len(forms[name].dims), coords): file for name, file in contents.items()}
-        )
+        write_keys(url, contents)
     except FileNotFoundError:
         raise StoreMissing(f"{url}: no store here") from None
 

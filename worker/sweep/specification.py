@@ -304,11 +304,8 @@ class SweepSpec(Specification):
     def left_out(self) -> set[str]:
         """The labels, and newer fields that are at their defaults."""
         defaults = {"settle": ("auto",), "until": (None, UNTIL), "exponents": (0,), "refine": (None,)}
-        return (
-            super().left_out()
-            | {"parent"}
-            | {field for field, default in defaults.items() if getattr(self, field) in default}
-        )
+        unset = {field for field, default in defaults.items() if getattr(self, field) in default}
+        return super().left_out() | unset | {"parent"}
 
 
 class EarlierSweep(SweepSpec):
