@@ -1,6 +1,7 @@
 """The ASGI application: routers, error handlers, middleware, and the parts that live while it runs."""
 
 import asyncio
+import shutil
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
 from functools import cache, partial
@@ -27,7 +28,6 @@ from service.jobs.stores.opening import open_ledger
 from service.ledger.ledger import Ledger
 from service.settings import Settings
 from service.software import software
-from service.views import exports
 from worker.executors.base import Executor
 
 #: Shared files that are received or imported at a time.
@@ -63,7 +63,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         try:
             with ExitStack() as stack:
                 ledger = stack.enter_context(open_ledger(settings))
-                exports.remove_unfinished(settings.exports_path)
+                shutil.rmtree(settings.exports_path, ignore_errors=True)  # what a killed service left
                 service = _service(settings, ledger, executor, background or InThisProcess(), metrics)
                 app.state.service = service
                 service.manager.start()

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.prepare import choice_of
 from service.ledger.model import Failure, JobRecord, JobState
-from service.ledger.search import MAX_TEXT, JobOrder, JobSearch, Position
+from service.ledger.search import MAX_TEXT, JobOrder, JobSearch
 from service.views.registry import VIEWS
 from service.views.view import Query
 from worker.analysis.model_selection import ModelChoice
@@ -83,10 +83,6 @@ class JobsQuery(Query):
         return JobSearch(
             self.search, self.state, self.model, self.protocol, self.pinned, first, last, self.order
         )
-
-    def after(self) -> Position | None:
-        """Where the page begins. Raises InvalidRequest for a cursor of another list."""
-        return None if self.cursor is None else self.jobs.read_cursor(self.cursor)
 
 
 class SubmitQuery(Query):

@@ -20,25 +20,18 @@ if TYPE_CHECKING:
 FIGURES: Final[Mapping[int, FigurePreset]] = {figure.number: figure for figure in presets.FIGURES}
 
 
-class UnknownFigure(BounceError):
-    """The paper has no figure of this number, or the project does not draw it."""
-
-    def __init__(self, number: str) -> None:
-        known = ", ".join([*map(str, FIGURES), "all"])
-        super().__init__(f"unknown figure {number}; choose one of: {known}")
-
-
 def figures(selection: str) -> list[FigurePreset]:
-    """The figure of this number, or "all". Raises UnknownFigure with those there are."""
+    """The figure of this number, or "all". Raises BounceError naming those there are."""
     if selection == "all":
         return list(FIGURES.values())
     if not selection.isdecimal() or int(selection) not in FIGURES:
-        raise UnknownFigure(selection)
+        known = ", ".join([*map(str, FIGURES), "all"])
+        raise BounceError(f"unknown figure {selection}; choose one of: {known}")
     return [FIGURES[int(selection)]]
 
 
 def figure(number: int, client: Client) -> "Drawing":
-    """Figure `number` of the paper, computed by a service. Raises UnknownFigure, and as `make`."""
+    """Figure `number` of the paper, computed by a service. Raises as `figures` and `make`."""
     return next(make(figures(str(number)), client))
 
 

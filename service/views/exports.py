@@ -142,11 +142,6 @@ def make(background: Background, export: Export, folder: Path) -> IO[bytes]:
         return Path(made.name).open("rb")
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove the files that a killed service left."""
-    shutil.rmtree(folder, ignore_errors=True)
-
-
 def write(export: Export, path: Path) -> None:
     """Write the study's file. Raises NoSpace, another OSError, a `store.StoreError`."""
     try:

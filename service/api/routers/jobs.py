@@ -129,7 +129,8 @@ def _submitted(
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
 def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()]) -> schemas.JobList:
     """Those that all parameters allow, in the `order` asked for; `next` is the cursor of the next page."""
-    search, after = query.jobs, query.after()
+    search = query.jobs
+    after = None if query.cursor is None else search.read_cursor(query.cursor)
     with service.ledger.reading() as ledger:
         records = ledger.search(search, query.limit + 1, after)
         total = ledger.count_found(search)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from tables import for_each
 
+from service.client import BounceError
 from service.figures import catalogue, schematics
 from service.figures.drawing import Caption, compared, left_open
 from service.figures.onsets import minima
@@ -44,7 +45,7 @@ def test_the_parameters_are_the_papers():
 
 @for_each("which", ["10", "0", "-1", "one", "ALL", ""])
 def test_an_unknown_figure_names_those_there_are(which: str):
-    with pytest.raises(catalogue.UnknownFigure, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
+    with pytest.raises(BounceError, match=r"choose one of: 1, 2, 3, 4, 5, 6, 7, 8, 9, all"):
         catalogue.figures(which)
 
 
