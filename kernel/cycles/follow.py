@@ -45,8 +45,9 @@ _LAST_STICK, _LITTLE_STICK = 1e-6, 1e-4
 _MINUTE, _JUMP = 1e-5, 1e-2
 #: Where a flight that ends a chatter touches so soon, rad, its hops accumulate.
 _NEXT_HOP: Final = 2e-3
-#: A branch whose longest flight is shorter, rad, ends at rest.
-_REST: Final = 1e-2
+#: A branch whose longest flight is shorter, rad, ends at rest, and is not followed on below the second, where
+#: multipliers are lost in rounding; Gamma is then off by less than its square.
+_REST, _NOTHING = 1e-2, 1e-4
 
 #: Points of a branch each way, signatures on it, and range of the parameter, unless others are asked for.
 POINTS: Final = 300
@@ -149,7 +150,7 @@ def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Po
     smallest = _SMALLEST_SOFT if "C" in first.letters else _SMALLEST
     while len(line) < points and not leaves(line[-1]):
         last = line[-1]
-        if _shortest_stick(last) < _LAST_STICK:
+        if _shortest_stick(last) < _LAST_STICK or max(last.flights) < _NOTHING:
             break
         if step < smallest:
             return _Stretch(line, Broken("too small", 0))
