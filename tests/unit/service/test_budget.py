@@ -71,13 +71,16 @@ def test_a_budget_begins_with_what_is_done():
 
 
 def test_a_budget_too_short_for_any_level_says_what_may_work():
-    runner = Simulated(cell=1.0, start=0.0, guess=1.0)
+    runner = Simulated(cell=1.0, start=0.0, guess=0.01)
     with pytest.raises(
         SpecInvalid, match=r"was over before the first level of 48 cells was complete; 2s may work"
     ):
         within(SPEC, 1.0, runner, clock=runner.clock)
     with pytest.raises(SpecInvalid, match="; 6s may work"):
         within(SPEC, 2.0, runner, clock=runner.clock, began=runner.clock() - 3.0)
+    runner.guess = 1.0
+    with pytest.raises(SpecInvalid, match="; 96s may work"):
+        within(SPEC, 2.0, runner, clock=runner.clock)
 
 
 def test_a_budget_is_refused_before_anything_is_computed(tmp_path: Path):
