@@ -29,6 +29,24 @@ export function problemLine() {
   return { element, show, showInView };
 }
 
+/** A button that cannot be pressed again until `work()` ends, which `busy` says; `failed(error)` tells why it did not. */
+export function workButton(title, work, failed, { busy, ...props } = {}) {
+  const button = h("button", { type: "button", ...props, onclick: async () => {
+    button.disabled = true;
+    if (busy) button.textContent = busy;
+    try {
+      await work();
+    } catch (error) {
+      failed(error);
+    } finally {
+      button.disabled = false;
+      if (busy) button.textContent = title;
+      if (document.activeElement === document.body) button.focus({ preventScroll: true }); // which a disabled button loses
+    }
+  } }, title);
+  return button;
+}
+
 const SAID_MS = 1500;
 
 /** A button that copies what `text()` returns, and says so. */

@@ -2,7 +2,7 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
-import { announce, debounced, h, problemLine } from "../lib/dom.js";
+import { announce, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { choice } from "../views/controls.js";
 import { MOST_COMPARED } from "../views/plot-view.js";
@@ -163,7 +163,7 @@ export class SweepList {
   #row() {
     let job;
     const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
-    const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#pin(job) });
+    const pin = workButton("", () => this.#pin(job), (error) => this.showError(error), { className: "quiet pin" });
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
@@ -208,13 +208,8 @@ export class SweepList {
 
   async #pin(job) {
     const action = job.pinned ? "unpin" : "pin";
-    try {
-      await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" });
-      announce(`${titleOf(job)} is ${action}ned.`);
-    } catch (error) {
-      this.showError(error);
-    }
-    this.refresh();
+    await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }).finally(() => this.refresh());
+    announce(`${titleOf(job)} is ${action}ned.`);
   }
 
   /** Delete the selected sweeps that are finished, after a confirmation that names them. */

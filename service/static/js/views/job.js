@@ -2,7 +2,7 @@
 
 import { addressValue, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { requestJson, shared } from "../lib/api.js";
-import { announce, h, problemLine } from "../lib/dom.js";
+import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
@@ -40,7 +40,7 @@ export class JobView {
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
-    this.rename = h("button", { type: "button", className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true, onclick: () => this.#rename() }, "✎");
+    this.rename = workButton("✎", () => this.#rename(), (error) => this.#failed(error), { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
     this.duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     Object.assign(this, buildFrame(root, {
       bar: [this.heading, this.summary.progress, this.duplicate, this.rename, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
@@ -148,12 +148,7 @@ export class JobView {
 
   async #rename() {
     const name = prompt("Name of the sweep", this.job.name);
-    if (name === null) return;
-    try {
-      this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
-    } catch (error) {
-      this.#failed(error);
-    }
+    if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
   }
 
   #showTab() {
