@@ -20,7 +20,7 @@ export class CyclesView extends PlotView {
   name = "cycles";
 
   build(root, parts) {
-    this.events = new PagedTable("Folds, flips and grazes", () => this.#eventRows(), () => fileName(this.job, "events", "csv"), true);
+    this.events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
     super.build(root, { label: "Flight times of the cycles over Γ", tables: [this.events.element], ...parts });
   }
 
@@ -30,10 +30,10 @@ export class CyclesView extends PlotView {
     this.events.update();
   }
 
-  #eventRows() {
-    const events = (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma);
-    const row = ({ kind, bounces, periods, gamma, flight_time: time }) => [eventName(kind), `(${bounces}, ${periods})`, number(gamma, 7), number(time, 6)];
-    return { titles: ["event", "cycle", "Γ", "φ (rad)"], length: events.length, row: (i) => row(events[i]) };
+  #events() {
+    const columns = [["event", ({ kind }) => eventName(kind)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
+      ["Γ", ({ gamma }) => number(gamma, 7)], ["φ (rad)", ({ flight_time: time }) => number(time, 6)]];
+    return [columns, (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */

@@ -14,6 +14,14 @@ import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
 
 const MAX_LISTED = 6; // flights
+/** The columns of a table of events. */
+const EVENTS = [
+  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${number(low, 4)}–${number(high, 4)}`],
+  ["event", ({ event_kind: kind }) => kind],
+  ["attractor", ({ event_attractor: id }) => String(id)],
+  ["mode", ({ event_kind: kind, event_below: below, event_above: above }) => inSymbols(kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below)],
+  ["leads to", ({ event_leads_to: other }) => (other ? String(other) : "")],
+];
 
 /** What both views share: the plane at one ξ, the legend of its attractors, and an attractor seen to move. */
 class AttractorView extends PlaneView {
@@ -65,7 +73,7 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => this.#eventRows(), () => fileName(this.job, "events", "csv"), true);
+    const events = new PagedTable("Births, ends, changes of mode", () => [EVENTS, this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
       tables: [events.element], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
@@ -76,13 +84,6 @@ export class AttractorDiagram extends AttractorView {
   showLegend() {
     super.showLegend();
     this.events.update();
-  }
-
-  #eventRows() {
-    const events = this.isLoaded ? partsOf(this.plane, "event") : [];
-    const row = ({ event_kind: kind, event_attractor: attractor, event_gamma_below: low, event_gamma_above: high, event_below: below, event_above: above, event_leads_to: other }) =>
-      [`${number(low, 4)}–${number(high, 4)}`, kind, String(attractor), inSymbols(kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below), other ? String(other) : ""];
-    return { titles: ["Γ", "event", "attractor", "mode", "leads to"], length: events.length, row: (i) => row(events[i]) };
   }
 
   whole() {

@@ -8,7 +8,7 @@ import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue,
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
-import { listenToInput, panned, scaled } from "../plot/input.js";
+import { listenToInput, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 import { sharedPage } from "./measured.js";
 
@@ -119,11 +119,11 @@ export class PlotView {
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
     const figure = h("figure", {});
-    const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
+    const zoom = (window, isStep = true) => (window || this.window) && !this.isBeside && setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
     this.logButtons = ["x", "y"].map((axis) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(axis) }, `log ${axis}`));
-    this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
+    this.table = new PagedTable("Table of what is shown", () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
     const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
     const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables, this.table.element]; // the legend grows while cells are computed
@@ -137,8 +137,7 @@ export class PlotView {
       step: (right, up) => this.#step(right, up),
       zoom,
       isZoomed: () => Boolean(this.window),
-      scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, point), this.#isNewGesture()),
-      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.#positive(this.extent()), from, to), this.#isNewGesture()),
+      scale: (factors, from = this.current && this.at(this.current), to = from) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), this.#isNewGesture()),
     });
     this.load = latest((signal) => this.#load(signal));
     const { signal } = this.closing;
@@ -148,12 +147,6 @@ export class PlotView {
   }
 
   #announce = debounced(ANNOUNCED_MS, () => announce(this.readout.textContent));
-
-  /** The table of the cells that are shown. */
-  #rows() {
-    const [columns, cells] = this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []];
-    return { titles: columns.map(([title]) => title), length: cells.length, row: (i, whole) => columns.map(([, text]) => text(cells[i], whole)) };
-  }
 
   #updateTable = debounced(ANNOUNCED_MS, () => this.table.update());
 
