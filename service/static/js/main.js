@@ -32,6 +32,8 @@ async function showAddress() {
     return;
   }
   page?.close();
+  document.getElementById("bar").replaceChildren();
+  root.dataset.page = name;
   const isFirst = shown === null;
   [page, shown] = [null, wanted];
   const load = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);

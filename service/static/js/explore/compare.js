@@ -2,13 +2,12 @@
 
 import { cellQuery, currentQuery, link, navigate, setQuery, windowQuery } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
-import { h, problemLine } from "../lib/dom.js";
+import { choice, h, problemLine } from "../lib/dom.js";
 import { isSweep } from "../lib/physics.js";
 import { branchColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
-import { choice } from "../views/controls.js";
 import { Diagram } from "../views/diagram.js";
-import { buildFrame, clearBar } from "../views/frame.js";
+import { buildFrame } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
 import { MOST_COMPARED, sourceOf } from "../views/plot-view.js";
 import { summary, titleOf } from "../views/progress.js";
@@ -33,7 +32,6 @@ export class Compare {
 
   close() {
     this.closed = true;
-    clearBar();
     this.views.forEach((view) => view.close());
   }
 

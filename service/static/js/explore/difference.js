@@ -69,8 +69,4 @@ export class Difference extends PlaneView {
   columnsOfTable() {
     return [...this.columnsOfPlane(), ["first", (cell) => modeText(this.first, this.indexOf(cell))], ["second", (cell) => modeText(this.second, this.indexOf(cell))]];
   }
-
-  cellOf({ column, row }) {
-    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.directions[0] };
-  }
 }

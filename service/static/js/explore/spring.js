@@ -2,15 +2,15 @@
 
 import { cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
-import { h, latest } from "../lib/dom.js";
+import { choice, h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { AXES, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
-import { choice, given, numberInput, sliders } from "../views/controls.js";
+import { given, numberInput, sliders } from "../views/controls.js";
 import { CyclesView } from "../views/cycles.js";
-import { buildFrame, clearBar } from "../views/frame.js";
+import { buildFrame } from "../views/frame.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
 const GRID = { gamma: range(0.1, 8, 0.01), omega: range(0.1, 2, 0.005), xi: range(0, 1, 0.005) };
@@ -116,11 +116,9 @@ export class Explore {
   constructor(root) {
     document.title = "Explore · Bouncing spring";
     setQuery({ ...START, ...currentQuery() });
-    this.root = root;
     this.sweep = h("a", {}, "New sweep around this spring");
     const words = h("p", { className: "summary closed", role: "status" });
     const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
-    root.classList.add("explored");
     this.motion = new TrajectoryPanel(aside);
     this.view = new Cycles(panel, controls, words, this.motion);
     const move = latest(() => this.#move()); // not aborted: the service computes it anyway
@@ -143,8 +141,6 @@ export class Explore {
   }
 
   close() {
-    this.root.classList.remove("explored");
-    clearBar();
     this.view.close();
     this.motion.hide();
   }

@@ -17,6 +17,10 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
+/** A choice among `options`, [[value, text], …], with a label. */
+export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
+  h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
+
 /** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
 export function problemLine() {
   const element = h("p", { className: "problem", role: "alert", hidden: true });

@@ -1,6 +1,6 @@
 // Playback of a trajectory: the animated spring, its heights over time as in the paper's Fig. 2 (a–d), and the controls.
 
-import { h } from "../lib/dom.js";
+import { choice, h } from "../lib/dom.js";
 import { TWO_PI } from "../lib/physics.js";
 import { theme } from "../plot/colours.js";
 import { disc, polygon, polyline, resizedContext, verticalLine } from "../plot/drawing.js";
@@ -37,9 +37,10 @@ export class Player {
         this.#draw();
       },
     });
+    const speeds = choice("Speed", SPEEDS.map((speed) => [speed, `× ${speed}`]), 1, (speed) => { this.speed = Number(speed); });
     this.element = h("div", { className: "player" },
       h("div", { className: "instant" }, this.canvas, figure),
-      h("div", { className: "controls" }, this.button, this.#speeds(), this.position));
+      h("div", { className: "controls" }, this.button, speeds, this.position));
     this.plot = new Plot(figure, {
       takesInput: false, label: "Heights of the masses and the plate over plate periods",
       content: () => this.heights && contentOf(this.heights, this.phase),
@@ -84,12 +85,6 @@ export class Player {
     this.plot.drawCursor();
     this.position.value = String(this.phase / TWO_PI);
     this.element.dataset.phase = this.phase.toFixed(3);
-  }
-
-  #speeds() {
-    return h("label", { className: "option" }, "Speed ",
-      h("select", { onchange: (event) => { this.speed = Number(event.target.value); } },
-        SPEEDS.map((speed) => h("option", { value: speed }, `× ${speed}`))));
   }
 }
 

@@ -2,9 +2,8 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
-import { announce, debounced, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
-import { choice } from "../views/controls.js";
 import { MOST_COMPARED } from "../views/plot-view.js";
 import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
 
@@ -23,7 +22,6 @@ const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "
 
 export class SweepList {
   rows = new Map(); // job id → row
-  selected = new Map(); // job id → job
   cursors = [null]; // of the pages up to the shown one
   jobs = []; // shown
 
@@ -35,9 +33,9 @@ export class SweepList {
     this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
       h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, find) })),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
-    this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
+    this.all = h("input", { type: "checkbox", onchange: () => this.#selectAll(this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
-    this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected.keys()].join() }));
+    this.compare = button("Compare", () => navigate(["compare"], { jobs: this.selected.map(({ id }) => id).join() }));
     this.remove = button("Delete", () => this.#delete());
     this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
     this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
@@ -149,7 +147,6 @@ export class SweepList {
       if (ids.has(id)) continue;
       row.element.remove();
       this.rows.delete(id);
-      this.selected.delete(id);
     }
     jobs.forEach((job, index) => {
       if (!this.rows.has(job.id)) this.rows.set(job.id, this.#row());
@@ -162,7 +159,7 @@ export class SweepList {
 
   #row() {
     let job;
-    const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
+    const box = h("input", { type: "checkbox", onchange: () => this.#showSelection() });
     const pin = workButton("", () => this.#pin(job), (error) => this.showError(error), { className: "quiet pin" });
     const name = h("a", {});
     const time = h("span", { className: "note" });
@@ -172,10 +169,8 @@ export class SweepList {
       parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
       job = current;
-      if (this.selected.has(job.id)) this.selected.set(job.id, job);
       parts.show(job);
       box.setAttribute("aria-label", `Select ${titleOf(job)}`);
-      box.checked = this.selected.has(job.id);
       pin.textContent = job.pinned ? "★" : "☆";
       pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
       pin.setAttribute("aria-pressed", String(job.pinned));
@@ -185,19 +180,21 @@ export class SweepList {
       error.hidden = !job.error;
       error.textContent = job.error ?? "";
     };
-    return { element, update };
+    return { element, update, box };
   }
 
-  #select(jobs, on) {
-    for (const job of jobs) {
-      if (on) this.selected.set(job.id, job);
-      else this.selected.delete(job.id);
-    }
-    this.#showJobs(this.jobs);
+  /** The jobs whose boxes are checked. */
+  get selected() {
+    return this.jobs.filter(({ id }) => this.rows.get(id).box.checked);
+  }
+
+  #selectAll(on) {
+    for (const { box } of this.rows.values()) box.checked = on;
+    this.#showSelection();
   }
 
   #showSelection() {
-    const selected = [...this.selected.values()];
+    const { selected } = this;
     this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
     this.all.indeterminate = selected.length > 0 && !this.all.checked;
     setText(this.chosen, selected.length ? `${count(selected.length)} selected${selected.length > MOST_COMPARED ? `; at most ${MOST_COMPARED} can be compared` : ""}` : "");
@@ -214,8 +211,9 @@ export class SweepList {
 
   /** Delete the selected sweeps that are finished, after a confirmation that names them. */
   async #delete() {
-    const finished = [...this.selected.values()].filter((job) => !UNFINISHED.has(job.state));
-    const running = this.selected.size - finished.length;
+    const { selected } = this;
+    const finished = selected.filter((job) => !UNFINISHED.has(job.state));
+    const running = selected.length - finished.length;
     const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
     const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
     const kept = running ? ` Kept, as not finished: ${plural(running, "sweep")}.` : "";
@@ -224,7 +222,6 @@ export class SweepList {
     for (const job of finished) {
       try {
         await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
-        this.selected.delete(job.id);
       } catch (error) {
         if (error.status !== 404) failed.push(`${titleOf(job)}: ${error.message}`);
       }

@@ -38,10 +38,6 @@ function slider(view, axis) {
   return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
 }
 
-/** A choice among `options`, [[value, text], …], with a label. */
-export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
-  h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
-
 /** The number from `min` to `max` that the address has as `name`; `otherwise` where it has none. */
 export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {
   const value = Number(currentQuery()[name] || NaN);

@@ -2,17 +2,17 @@
 
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { choice, h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
 import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
-import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
-import { drawFlights, flightsIn } from "../plot/flights.js";
+import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
+import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
 import { cellBorders, cellExtent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
-import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
+import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
@@ -225,7 +225,7 @@ export class Diagram extends PlotView {
     const cell = this.#selectedOnLines();
     if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
     if (this.current?.branch) drawCycle(ctx, box, this.current);
-    else if (this.current) this.#atCurrent().forEach((each) => drawCurrent(ctx, box, each));
+    else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(line, cell).slice(0, MAX_CIRCLES)));
   }
 
   /** The colour of a direction; of several sweeps, each has a colour of its own. */
@@ -348,13 +348,6 @@ function drawSelected(ctx, box, value, colour) {
   const [x, bottom] = [box.x.pixel(value), box.top + box.height];
   verticalLine(ctx, box, x, colour, 1, [2, 3]);
   polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
-}
-
-/** A line through a cell and a circle around each of its flights. */
-function drawCurrent(ctx, box, { line, cell }) {
-  const x = box.x.pixel(line.values[cell]);
-  verticalLine(ctx, box, x, box.theme.cursor);
-  for (const time of distinctFlights(line, cell).slice(0, MAX_CIRCLES)) circle(ctx, box.theme.cursor, 1.5, x, box.y.pixel(time), 4.5);
 }
 
 /** The distinct flight times of one cell, shortest first. */

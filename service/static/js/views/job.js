@@ -9,7 +9,7 @@ import { Basin } from "./basin.js";
 import { Orbits } from "./cycles.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
-import { buildFrame, clearBar } from "./frame.js";
+import { buildFrame } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
@@ -67,7 +67,6 @@ export class JobView {
     clearTimeout(this.timer);
     this.closed = true;
     this.closing.abort();
-    clearBar();
     this.view?.close();
     this.beside?.close();
     this.trajectory.hide();
@@ -116,6 +115,7 @@ export class JobView {
     if (error.status !== 404) return;
     this.close();
     this.job = null;
+    document.getElementById("bar").replaceChildren();
     document.title = "No such sweep · Bouncing spring";
     this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
   }

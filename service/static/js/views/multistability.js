@@ -7,7 +7,8 @@ import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
 import { TWO_PI, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, branchColour, theme } from "../plot/colours.js";
-import { circle, disc, rgba32, verticalLine } from "../plot/drawing.js";
+import { rgba32, verticalLine } from "../plot/drawing.js";
+import { drawCell, markCell } from "../plot/flights.js";
 import { cellExtent } from "../plot/scale.js";
 import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
@@ -108,24 +109,18 @@ export class AttractorDiagram extends AttractorView {
     }
   }
 
-  /** The attractors with most cells are drawn last. One dot stands for all flights within half a pixel; rest is a dot at 0. */
+  /** The attractors with most cells are drawn last; rest is a dot at 0. */
   #drawFlights(ctx, box) {
     const inView = this.columns.filter((value) => value >= box.x.low && value <= box.x.high).length;
     const radius = Math.min(2.6, Math.max(1.1, box.width / 3 / Math.max(inView, 1)));
-    const places = this.cells.flatMap((cell, i) => cell.map((place) => ({ ...place, x: box.x.pixel(this.columns[i]) })));
-    for (const { id, x, times } of places.sort((a, b) => b.id - a.id)) {
-      const drawn = new Set(times.map((time) => Math.round(2 * box.y.pixel(time)) / 2));
-      for (const y of drawn) disc(ctx, branchColour(id, box.theme.dark), x, y, radius);
-    }
+    const places = this.cells.flatMap((cell, i) => cell.map((place) => ({ ...place, gamma: this.columns[i] })));
+    for (const { id, gamma, times } of places.sort((a, b) => b.id - a.id)) drawCell(ctx, box, gamma, times, branchColour(id, box.theme.dark), radius);
   }
 
   #drawCurrent(ctx, box) {
     const at = this.current ?? this.#selectedCell();
     const place = at && this.placesOf(at)?.[at.k];
-    if (!place) return;
-    const x = box.x.pixel(this.columns[at.column]);
-    verticalLine(ctx, box, x, box.theme.cursor);
-    for (const time of place.times) circle(ctx, box.theme.cursor, 1.5, x, box.y.pixel(time), 4.5);
+    if (place) markCell(ctx, box, this.columns[at.column], place.times);
   }
 
   /** The attractor that is seen to move, if it is on this line. */
@@ -192,10 +187,7 @@ export class AttractorMap extends AttractorView {
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
       layers: [(ctx, box) => this.#drawAttractors(ctx, box, isHatched)],
-      cursor: (ctx, box) => {
-        const cell = this.selected();
-        this.drawCursor(ctx, box, cell && isClose(cell.xi, this.xi) && [cell.gamma, cell.omega]);
-      },
+      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 
@@ -208,8 +200,8 @@ export class AttractorMap extends AttractorView {
     this.drawCells(ctx, box, (cell, x, y) => (isHatched && lines[cell] && hatchAt(x, y) >= 0 ? lines[cell] : colours[cell]));
   }
 
-  cellOf({ column, row }) {
-    return this.placesOf({ column, row }).length ? { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: startName("attractor", 1) } : null;
+  cellOf(cell) {
+    return this.placesOf(cell).length ? { ...super.cellOf(cell), direction: startName("attractor", 1) } : null;
   }
 
   columnsOfTable() {
