@@ -35,7 +35,7 @@ class ClosedForm {
     this.input = h("input", { type: "checkbox", onchange: () => setQuery({ [parameter]: this.input.checked ? 1 : null }) });
     this.note = h("span", { className: "note", role: "status" });
     const title = `${hasOwnCycles(view.job) ? "Of the sweep's own contact, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
-    this.element = h("span", { className: "closed-form" }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
+    this.element = h("span", { className: "closed-form", hidden: path() === null }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
     this.load = latest((signal) => this.#load(signal));
     queryChanges.addEventListener("change", () => this.update(), { signal: view.closing.signal });
   }
@@ -43,7 +43,9 @@ class ClosedForm {
   /** Load what the address asks for, unless it is there. */
   update() {
     this.input.checked = currentQuery()[this.parameter] === "1";
-    const path = this.input.checked ? this.path() : null;
+    const found = this.path();
+    this.element.hidden = found === null;
+    const path = this.input.checked ? found : null;
     if (path === this.requested) return;
     this.requested = path;
     this.load();

@@ -33,11 +33,16 @@ export class Diagram extends PlotView {
     this.closedForm = !this.isCompared && hasCycles(this.job) && branchesOver(this);
     this.measured = this.isCompared || this.isBeside ? null : new MeasuredPoints(this, "flight_time");
     this.caption = h("input", { type: "checkbox", checked: true });
-    this.controls = h("div", {});
-    this.options = h("div", {});
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
-    this.#buildControls();
-    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    const setAxis = (along) => setQuery({ along, ...windowQuery(null) });
+    const controls = h("div", { className: "controls" },
+      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), this.along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
+      sliders(this, AXES));
+    const options = h("div", { className: "controls" },
+      this.directions.length > 1 && !this.isCompared && this.#directionBoxes(),
+      this.closedForm && this.closedForm.element,
+      !this.isCompared && !this.isFollower && minFlightInput(this.job));
+    this.build(root, { controls, shown: this.isCompared ? [options] : [options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();
   }
 
@@ -90,21 +95,6 @@ export class Diagram extends PlotView {
     if (!this.isBeside || !window) return window;
     const { y0, y1 } = this.whole();
     return { ...window, y0, y1 };
-  }
-
-  #buildControls() {
-    const { along } = this;
-    const directions = this.directions.length > 1 && !this.isCompared && this.#directionBoxes();
-    const setAxis = (axis) => {
-      setQuery({ along: axis, ...windowQuery(null) });
-      this.#buildControls();
-    };
-    this.controls.replaceChildren(h("div", { className: "controls" },
-      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
-      sliders(this, AXES.filter((axis) => axis !== along))));
-    this.options.replaceChildren(h("div", { className: "controls" }, directions,
-      this.closedForm && along === "gamma" && this.closedForm.element,
-      !this.isCompared && !this.isFollower && minFlightInput(this.job)));
   }
 
   #directionBoxes() {
