@@ -19,7 +19,8 @@ const ON_MAPS = { __proto__: null, maps: Modes, difference: Difference };
 export class Compare {
   views = [];
 
-  constructor(root, { query }) {
+  constructor(root, { query }, signal) {
+    this.signal = signal;
     document.title = "Comparison · Bouncing spring";
     this.ids = [...new Set((query.jobs ?? "").split(",").filter(Boolean))];
     this.problem = problemLine();
@@ -31,7 +32,6 @@ export class Compare {
   }
 
   close() {
-    this.closed = true;
     this.views.forEach((view) => view.close());
   }
 
@@ -43,8 +43,7 @@ export class Compare {
     try {
       if (this.ids.length < 2) throw new Error("Select two sweeps or more in the list of sweeps, and press Compare.");
       if (this.ids.length > MOST_COMPARED) throw new Error(`At most ${MOST_COMPARED} sweeps can be compared; ${this.ids.length} were selected.`);
-      const jobs = await Promise.all(this.ids.map((id) => requestJson(`/v1/jobs/${id}`)));
-      if (this.closed) return;
+      const jobs = await Promise.all(this.ids.map((id) => requestJson(`/v1/jobs/${id}`, { signal: this.signal })));
       const others = jobs.filter(({ spec }) => !isSweep(spec)).map(titleOf).join(", ");
       if (jobs.filter(({ spec }) => isSweep(spec)).length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
       this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);

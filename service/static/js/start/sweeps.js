@@ -25,7 +25,8 @@ export class SweepList {
   cursors = [null]; // of the pages up to the shown one
   jobs = []; // shown
 
-  constructor(root) {
+  constructor(root, address, signal) {
+    this.signal = signal;
     document.title = "Bouncing spring";
     const find = () => this.#find();
     const select = (name, title, options) => choice(title, options, "", find, { name });
@@ -65,29 +66,23 @@ export class SweepList {
     this.refresh();
   }
 
-  close() {
-    this.closed = true;
-    clearTimeout(this.timer);
-  }
-
   async refresh() {
     clearTimeout(this.timer);
     const wanted = this.#wanted();
     const asked = JSON.stringify([wanted, this.cursors]);
-    const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`);
+    const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`, { signal: this.signal });
     try {
       const [pinned, others] = await Promise.all([
         page({ pinned: true, limit: MAX_PINNED }),
         page({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
-      if (this.closed || asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
+      if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
       this.#showJobs([...(this.cursors.length === 1 ? pinned.jobs : []), ...others.jobs]);
       this.#showRange(pinned, others);
       this.notice.hidden = !others.notice;
       setText(this.notice, others.notice ?? "");
       this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
-      if (this.closed) return;
       this.showError(error);
       if (error.status >= 500) this.#refreshAfter(IDLE_POLL_MS); // it may be temporary
     }

@@ -29,10 +29,8 @@ const POLL_MS = 1000;
 const ERROR_POLL_MS = 3000;
 
 export class JobView {
-  closing = new AbortController();
-
-  constructor(root, { path }) {
-    Object.assign(this, { root, id: path[1] });
+  constructor(root, { path }, signal) {
+    Object.assign(this, { root, signal, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.summary = new JobSummary(this.heading, {
       change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.#failed(error),
@@ -47,7 +45,7 @@ export class JobView {
       tabs: this.tabs, problem: this.problem.element,
     }));
     this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
-    addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal: this.closing.signal });
+    addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal });
     this.#poll(true);
   }
 
@@ -65,8 +63,6 @@ export class JobView {
 
   close() {
     clearTimeout(this.timer);
-    this.closed = true;
-    this.closing.abort();
     this.view?.close();
     this.beside?.close();
     this.trajectory.hide();
@@ -75,12 +71,11 @@ export class JobView {
   async #poll(redraw) {
     let job;
     try {
-      job = await requestJson(`/v1/jobs/${this.id}`);
+      job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal });
     } catch (error) {
-      if (!this.closed) this.#pollFailed(error, redraw);
+      if (!this.signal.aborted) this.#pollFailed(error, redraw);
       return;
     }
-    if (this.closed) return;
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
     if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
@@ -114,7 +109,7 @@ export class JobView {
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
     this.close();
-    this.job = null;
+    [this.job, this.cell] = [null, null];
     document.getElementById("bar").replaceChildren();
     document.title = "No such sweep · Bouncing spring";
     this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
