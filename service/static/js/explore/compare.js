@@ -9,8 +9,8 @@ import { legendEntry } from "../views/cells.js";
 import { Diagram } from "../views/diagram.js";
 import { buildFrame } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
-import { MOST_COMPARED, sourceOf } from "../views/plot-view.js";
-import { summary, titleOf } from "../views/progress.js";
+import { sourceOf } from "../views/plot-view.js";
+import { MOST_COMPARED, summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };

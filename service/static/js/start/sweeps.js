@@ -4,8 +4,7 @@ import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
 import { announce, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
-import { MOST_COMPARED } from "../views/plot-view.js";
-import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
+import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
 const MAX_PINNED = 100; // shown above the first page

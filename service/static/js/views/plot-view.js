@@ -22,8 +22,6 @@ const SYMBOLS = new Set(Object.values(SYMBOL));
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
 const FORMATS = [["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
 
-export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
-
 /** What a view shows of a job; `number` is its place among compared ones. */
 export const sourceOf = (job, number = 1) => ({
   job, number, directions: directionsOf(job.spec),
