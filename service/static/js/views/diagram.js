@@ -23,7 +23,7 @@ const MAX_LISTED = 6; // flights listed one by one
 const STRIP = 8; // px, of the modes of a line
 const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
-/** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
+/** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles. */
 export class Diagram extends PlotView {
   lines = []; // one per source and shown direction
 
@@ -214,7 +214,7 @@ export class Diagram extends PlotView {
   #drawCursor(ctx, box) {
     const cell = this.#selectedOnLines();
     if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
-    if (this.current?.branch) drawCycle(ctx, box, this.current);
+    if (this.current?.periods) drawCycle(ctx, box, this.current);
     else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(line, cell).slice(0, MAX_CIRCLES)));
   }
 
@@ -265,12 +265,12 @@ export class Diagram extends PlotView {
     return this.#cell(up ? (this.lines.find((line) => line !== current.line) ?? current.line) : current.line, current.cell + right);
   }
 
-  at({ line, cell, branch, point }) {
-    return branch ? [branch.gamma[point], branch.flight_time[point]] : [line.values[cell], flightsIn(line, cell)[0]];
+  at({ line, cell, gamma, flight_time: time }) {
+    return line ? [line.values[cell], flightsIn(line, cell)[0]] : [gamma, time];
   }
 
-  cellOf({ line, cell, branch, point }) {
-    if (branch) return { ...this.place, gamma: branch.gamma[point], direction: startName("cycle", branch.periods, branch.flight_time[point]) };
+  cellOf({ line, cell, gamma, periods, flight_time: time }) {
+    if (!line) return { ...this.place, gamma, direction: startName("cycle", periods, time) };
     return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
   }
 
@@ -285,7 +285,7 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.branch) return `${describeCycle(cell)} · press to see it move`;
+    if (cell.periods) return `${describeCycle(cell)} · press to see it move`;
     if (!this.isCompared) return super.describe(cell);
     return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())), `${super.describe(each)} `));
   }
