@@ -4,7 +4,7 @@ import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { modeText, nearestIndex } from "../lib/physics.js";
-import { modeClasses, modeColour, theme } from "../plot/colours.js";
+import { modeClasses, modeColour } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
@@ -55,10 +55,6 @@ export class Difference extends PlaneView {
       const id = this.classes.ofCell[cell];
       return this.differs[cell] === OTHER_MODE && !hidden.has(id) ? colours.get(id) : same;
     });
-  }
-
-  showLegend() {
-    this.legend.show(this.classes, theme().dark);
   }
 
   isHidden(cell) {

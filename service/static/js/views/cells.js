@@ -4,7 +4,7 @@ import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
 import { clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
-import { classQuery, modeColour } from "../plot/colours.js";
+import { classQuery, modeColour, theme } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { PlotView } from "./plot-view.js";
@@ -131,8 +131,9 @@ export class ClassLegend {
     return [...this.hidden].map(classQuery).filter(Boolean).join() || null;
   }
 
-  show({ present, ofCell }, dark) {
+  show({ present, ofCell }) {
     const { hidden } = this;
+    const { dark } = theme();
     this.element.replaceChildren(...present.map(({ id, name, cells }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
     }, name), " ", h("small", {}, share(cells / ofCell.length, 2)))));

@@ -20,14 +20,13 @@ export class CyclesView extends PlotView {
   name = "cycles";
 
   build(root, parts) {
-    this.events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
-    super.build(root, { label: "Flight times of the cycles over Γ", tables: [this.events.element], ...parts });
+    const events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
+    super.build(root, { label: "Flight times of the cycles over Γ", tables: [events], ...parts });
   }
 
   read([result]) {
     this.branches = readBranches(result);
     [this.omega, this.xi, this.maxGamma] = [result.omega.data, result.xi.data, result.attrs.gamma_max];
-    this.events.update();
   }
 
   #events() {

@@ -144,11 +144,6 @@ export class Diagram extends PlotView {
     this.closedForm?.update?.();
   }
 
-  /** The modes of the strips. */
-  showLegend() {
-    if (!this.isCompared) this.legend.show(this.classes, theme().dark);
-  }
-
   get cycles() {
     return this.closedForm && this.lines[0]?.along === "gamma" ? this.closedForm.data : null;
   }

@@ -5,7 +5,7 @@ import { query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, nearestIndex, threshold } from "../lib/physics.js";
-import { modeClasses, modeColour, theme } from "../plot/colours.js";
+import { modeClasses, modeColour } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
@@ -84,7 +84,7 @@ export class Modes extends PlaneView {
 
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
-    this.legend.show(this.classes, theme().dark);
+    super.showLegend();
     const { every, computed_share: computed } = this.attrs;
     const partly = !this.isPreview ? "" : "Cells that are not computed yet have the colour of the nearest one at their Γ. ";
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";

@@ -76,15 +76,9 @@ export class AttractorDiagram extends AttractorView {
   constructor(root, view) {
     const events = new PagedTable("Births, ends, changes of mode", () => [EVENTS, this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
-      tables: [events.element], axes: ["omega", "xi"], label: "Diagram of all attractors",
+      tables: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
-    this.events = events;
-  }
-
-  showLegend() {
-    super.showLegend();
-    this.events.update();
   }
 
   whole() {

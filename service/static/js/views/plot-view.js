@@ -54,7 +54,7 @@ async function requestFitting(path, options) {
  *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell, whole) => text], …]; `whole`: not shortened
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
- *   showLegend()     optional; called when the data or the colours have changed
+ *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(): called when the data or the colours have changed
  */
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
@@ -111,8 +111,9 @@ export class PlotView {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
+  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with, of which PagedTables are kept up to date. */
   build(root, { controls, label, hint, shown = [], tables = [] }) {
+    this.tables = tables.filter((table) => table instanceof PagedTable);
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
@@ -124,7 +125,7 @@ export class PlotView {
     this.table = new PagedTable("Table of what is shown", () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
     const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
-    const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables, this.table.element]; // the legend grows while cells are computed
+    const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables.map((table) => table.element ?? table), this.table.element]; // the legend grows while cells are computed
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -199,7 +200,9 @@ export class PlotView {
     if (!this.isOutdated) this.load();
   }
 
-  showLegend() {}
+  showLegend() {
+    this.legend?.show(this.classes);
+  }
 
   describe(cell) {
     const known = this.columnsOfTable().map(([title, text]) => [title, text(cell)]).filter(([, text]) => text && text !== "–");
@@ -253,6 +256,7 @@ export class PlotView {
     this.measured?.update();
     this.plot.draw();
     this.plot.element.dataset.shown = parametersOf(this.results[0]);
+    this.tables.forEach((table) => table.update());
     this.#updateTable();
   }
 
