@@ -7,8 +7,8 @@ import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
 
 // A page is built with its root element, the address and a signal that is aborted when the page is left. It has
-// refresh(redraw): load again; where there is more to end, close(); and, where the address may change to another state
-// of the same page, show(). Without the names of every object, such as constructor.
+// refresh(redraw): load again; and, where the address may change to another state of the same page, show(). Without the
+// names of every object, such as constructor.
 const PAGES = {
   __proto__: null,
   "": async () => (await import("./start/sweeps.js")).SweepList,
@@ -33,7 +33,6 @@ async function showAddress() {
     page?.show?.();
     return;
   }
-  page?.close?.();
   leaving.abort();
   leaving = new AbortController();
   document.getElementById("bar").replaceChildren();

@@ -31,10 +31,6 @@ export class Compare {
     this.refresh();
   }
 
-  close() {
-    this.views.forEach((view) => view.close());
-  }
-
   async refresh() {
     if (this.sources) {
       this.views.forEach((view) => view.load());
@@ -83,7 +79,7 @@ export class Compare {
     this.bar.replaceChildren();
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      sources: group, signal: this.signal, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
       onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown

@@ -37,8 +37,8 @@ function contactOf() {
 class Cycles extends CyclesView {
   isContinuous = true;
 
-  constructor(root, bar, words, motion) {
-    super({ sources: [SPRING], bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
+  constructor(root, signal, bar, words, motion) {
+    super({ sources: [SPRING], signal, bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
     Object.assign(this, { motion, words });
     const typed = h("span", { className: "controls" });
     const contact = choice("Contact", CONTACTS, "", (name) => { setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null }); this.showChoices(); });
@@ -113,14 +113,14 @@ class Cycles extends CyclesView {
 }
 
 export class Explore {
-  constructor(root) {
+  constructor(root, address, signal) {
     document.title = "Explore · Bouncing spring";
     setQuery({ ...START, ...currentQuery() });
     this.sweep = h("a", {}, "New sweep around this spring");
     const words = h("p", { className: "summary closed", role: "status" });
     const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
-    this.motion = new TrajectoryPanel(aside);
-    this.view = new Cycles(panel, controls, words, this.motion);
+    this.motion = new TrajectoryPanel(aside, signal);
+    this.view = new Cycles(panel, signal, controls, words, this.motion);
     const move = latest(() => this.#move()); // not aborted: the service computes it anyway
     this.load = () => {
       this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });
@@ -138,11 +138,6 @@ export class Explore {
   refresh() {
     this.view.load();
     this.load();
-  }
-
-  close() {
-    this.view.close();
-    this.motion.hide();
   }
 
   async #move() {

@@ -24,9 +24,10 @@ export class TrajectoryPanel {
   player = null; // while something is shown
   trajectory = null;
 
-  /** Shown in `root`; without `onClose` it cannot be closed. */
-  constructor(root, onClose = null) {
+  /** Shown in `root`, until `signal` aborts; without `onClose` it cannot be closed. */
+  constructor(root, signal, onClose = null) {
     Object.assign(this, { root, onClose });
+    signal.addEventListener("abort", () => this.hide());
   }
 
   /**
@@ -81,8 +82,9 @@ export class TrajectoryPanel {
     this.note = h("p", { className: "note computing", role: "status", hidden: true });
     this.problem = problemLine();
     this.readout = h("p", { className: "readout", role: "status" });
-    this.player = new Player();
-    this.portraits = new Portraits();
+    this.closing = new AbortController();
+    this.player = new Player(this.closing.signal);
+    this.portraits = new Portraits(this.closing.signal);
     this.root.hidden = false;
     this.root.replaceChildren(
       h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
@@ -147,8 +149,7 @@ export class TrajectoryPanel {
   hide() {
     this.request?.abort();
     clearTimeout(this.timer);
-    this.player?.close();
-    this.portraits?.close();
+    this.closing?.abort();
     Object.assign(this, { shown: null, player: null, trajectory: null });
     this.root.hidden = true;
     this.root.replaceChildren();

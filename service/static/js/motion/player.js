@@ -25,7 +25,8 @@ export class Player {
   periods = 1; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
-  constructor() {
+  constructor(signal) {
+    this.signal = signal; // aborted when it is closed
     this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
@@ -42,7 +43,7 @@ export class Player {
       h("div", { className: "instant" }, this.canvas, figure),
       h("div", { className: "controls" }, this.button, speeds, this.position));
     this.plot = new Plot(figure, {
-      takesInput: false, label: "Heights of the masses and the plate over plate periods",
+      signal, takesInput: false, label: "Heights of the masses and the plate over plate periods",
       content: () => this.heights && contentOf(this.heights, this.phase),
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
@@ -59,11 +60,6 @@ export class Player {
     this.play(this.playing);
   }
 
-  close() {
-    this.plot.close();
-    cancelAnimationFrame(this.frame);
-  }
-
   play(on) {
     this.playing = on;
     this.button.textContent = on ? "Pause" : "Play";
@@ -71,6 +67,7 @@ export class Player {
     if (!on) return;
     let previous = performance.now();
     const step = (now) => {
+      if (this.signal.aborted) return;
       this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (this.periods * TWO_PI);
       previous = now;
       this.#draw();

@@ -48,7 +48,7 @@ export class Diagram extends PlotView {
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #buildExponents() {
-    this.exponents = new Plot(this.plot.element.parentElement, { takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
+    this.exponents = new Plot(this.plot.element.parentElement, { signal: this.closing.signal, takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
     this.plot.element.addEventListener("drawn", () => this.exponents.draw());
   }
 
@@ -67,11 +67,6 @@ export class Diagram extends PlotView {
         (ctx, box) => points.forEach((line, i) => line.forEach(([value, exponent]) => disc(ctx, this.#colour(this.lines[i], box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4))),
       ],
     };
-  }
-
-  close() {
-    super.close();
-    this.exponents?.close();
   }
 
   get name() {

@@ -44,7 +44,7 @@ export class JobView {
       bar: [this.heading, this.summary.progress, this.duplicate, this.rename, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
       tabs: this.tabs, problem: this.problem.element,
     }));
-    this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
+    this.trajectory = new TrajectoryPanel(this.aside, signal, () => this.#closeTrajectory());
     addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal });
     this.#poll(true);
   }
@@ -61,19 +61,12 @@ export class JobView {
     this.#poll(redraw);
   }
 
-  close() {
-    clearTimeout(this.timer);
-    this.view?.close();
-    this.beside?.close();
-    this.trajectory.hide();
-  }
-
   async #poll(redraw) {
     let job;
     try {
       job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal });
     } catch (error) {
-      if (!this.signal.aborted) this.#pollFailed(error, redraw);
+      this.#pollFailed(error, redraw);
       return;
     }
     const isFirst = !this.job;
@@ -108,7 +101,8 @@ export class JobView {
     this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
-    this.close();
+    [this.view, this.beside].forEach((view) => view?.close());
+    this.trajectory.hide();
     [this.job, this.cell] = [null, null];
     document.getElementById("bar").replaceChildren();
     document.title = "No such sweep · Bouncing spring";
@@ -160,7 +154,7 @@ export class JobView {
     this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    const common = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
+    const common = { sources: [sourceOf(this.job)], signal: this.signal, onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
     this.#showBeside(current === "modes" && WIDE.matches, common);
     this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
   }

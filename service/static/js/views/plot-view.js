@@ -63,12 +63,13 @@ export class PlotView {
   closing = new AbortController();
 
   /**
-   * `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
+   * It is closed when `signal` aborts. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
    * `onMissing()`: the service has no such job. Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
    * is told where the pointer is, `onLoad(view)` that there are data, `extent()` is the window of all data, and titles begin with `prefix`.
    */
-  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
+  constructor({ sources, signal, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
     Object.assign(this, { sources, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
+    signal.addEventListener("abort", () => this.close(), { signal: this.closing.signal });
   }
 
   get job() {
@@ -127,7 +128,7 @@ export class PlotView {
     const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
     const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables.map((table) => table.element ?? table), this.table.element]; // the legend grows while cells are computed
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
-    this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
+    this.plot = new Plot(figure, { signal: this.closing.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
       leave: () => this.#point(null),
@@ -190,7 +191,6 @@ export class PlotView {
     this.#announce.cancel();
     this.#updateTable.cancel();
     clearTimeout(this.timer);
-    this.plot.close();
   }
 
   /** Of a running job each second: what is loading is shown first, however long it takes. */
