@@ -68,7 +68,9 @@ export class Compare {
   }
 
   #build(layout) {
-    this.views.forEach((view) => view.close());
+    this.leaving?.abort();
+    this.leaving = new AbortController(); // of this layout
+    const signal = AbortSignal.any([this.signal, this.leaving.signal]);
     const [View, sources] = [ON_MAPS[layout] ?? Diagram, layout === "maps" ? this.mapped : this.sources];
     const groups = layout === "difference" ? [sources.slice(0, 2)] : layout === "overlay" ? [sources] : sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
@@ -79,7 +81,7 @@ export class Compare {
     this.bar.replaceChildren();
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, signal: this.signal, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      sources: group, signal, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
       onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown

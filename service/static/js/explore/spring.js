@@ -49,7 +49,7 @@ class Cycles extends CyclesView {
     };
     this.showChoices();
     this.build(root, { controls: h("div", { className: "controls" }, sliders(this, AXES), contact, typed, cycles), hint: HINT });
-    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.closing.signal });
+    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.signal });
     this.describeThresholds();
   }
 
@@ -126,7 +126,7 @@ export class Explore {
       this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });
       move();
     };
-    queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });
+    queryChanges.addEventListener("change", () => this.load(), { signal: this.view.signal });
     this.load();
   }
 

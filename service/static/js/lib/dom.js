@@ -69,15 +69,13 @@ export function announce(text) {
   document.getElementById("status").textContent = text;
 }
 
-/** `work`, called only after `milliseconds` without another call. `cancel()` drops a pending call. */
+/** `work`, called only after `milliseconds` without another call. */
 export function debounced(milliseconds, work) {
   let timer;
-  const call = (...args) => {
+  return () => {
     clearTimeout(timer);
-    timer = setTimeout(() => work(...args), milliseconds);
+    timer = setTimeout(work, milliseconds);
   };
-  call.cancel = () => clearTimeout(timer);
-  return call;
 }
 
 const ABORT_AFTER_MS = 150;

@@ -37,7 +37,7 @@ class ClosedForm {
     const title = `${hasOwnCycles(view.job) ? "Of the sweep's own contact, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
     this.element = h("span", { className: "closed-form", hidden: path() === null }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
     this.load = latest((signal) => this.#load(signal));
-    queryChanges.addEventListener("change", () => this.update(), { signal: view.closing.signal });
+    queryChanges.addEventListener("change", () => this.update(), { signal: view.signal });
   }
 
   /** Load what the address asks for, unless it is there. */
@@ -63,7 +63,7 @@ class ClosedForm {
       Object.assign(this, { data: null, requested: null });
       this.note.textContent = isHandledElsewhere(error) ? "" : error.message;
     }
-    if (this.view.isLoaded && !this.view.closing.signal.aborted) this.view.draw();
+    if (this.view.isLoaded && !this.view.signal.aborted) this.view.draw();
   }
 }
 

@@ -36,7 +36,7 @@ function slider(view, axis) {
   };
   const element = h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
   show();
-  queryChanges.addEventListener("change", show, { signal: view.closing.signal });
+  queryChanges.addEventListener("change", show, { signal: view.signal });
   return element;
 }
 

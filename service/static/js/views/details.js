@@ -21,8 +21,6 @@ export class Details {
     requestJson("/v1/software").then((software) => { this.software = software; this.update(this.job); }, () => {});
   }
 
-  close() {}
-
   update(job) {
     this.job = job;
     this.snippets.show(job.spec);

@@ -48,7 +48,7 @@ export class Diagram extends PlotView {
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #buildExponents() {
-    this.exponents = new Plot(this.plot.element.parentElement, { signal: this.closing.signal, takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
+    this.exponents = new Plot(this.plot.element.parentElement, { signal: this.signal, takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
     this.plot.element.addEventListener("drawn", () => this.exponents.draw());
   }
 

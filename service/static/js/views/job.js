@@ -101,7 +101,7 @@ export class JobView {
     this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
-    [this.view, this.beside].forEach((view) => view?.close());
+    this.leaving?.abort();
     this.trajectory.hide();
     [this.job, this.cell] = [null, null];
     document.getElementById("bar").replaceChildren();
@@ -150,18 +150,18 @@ export class JobView {
         href: target(tab, query), "aria-current": tab === current ? "page" : undefined,
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
-    this.view?.close();
+    this.leaving?.abort();
+    this.leaving = new AbortController(); // of this tab
     this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    const common = { sources: [sourceOf(this.job)], signal: this.signal, onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
+    const common = { sources: [sourceOf(this.job)], signal: AbortSignal.any([this.signal, this.leaving.signal]), onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
     this.#showBeside(current === "modes" && WIDE.matches, common);
     this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
   }
 
   /** Beside a map on a wide screen, the diagram at the Ω under the pointer. */
   #showBeside(isShown, common) {
-    this.beside?.close();
     this.second.hidden = !isShown;
     this.beside = isShown ? new Diagram(this.second, { ...common, isBeside: true, isFollower: true }) : null;
   }

@@ -60,16 +60,14 @@ export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
   isThinned = false; // whether all of it is more than the service sends
-  closing = new AbortController();
 
   /**
-   * It is closed when `signal` aborts. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
+   * `signal` aborts when the view is left. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
    * `onMissing()`: the service has no such job. Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
    * is told where the pointer is, `onLoad(view)` that there are data, `extent()` is the window of all data, and titles begin with `prefix`.
    */
   constructor({ sources, signal, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
-    signal.addEventListener("abort", () => this.close(), { signal: this.closing.signal });
+    Object.assign(this, { sources, signal, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
   }
 
   get job() {
@@ -128,7 +126,7 @@ export class PlotView {
     const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
     const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables.map((table) => table.element ?? table), this.table.element]; // the legend grows while cells are computed
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
-    this.plot = new Plot(figure, { signal: this.closing.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
+    this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
       leave: () => this.#point(null),
@@ -140,15 +138,14 @@ export class PlotView {
       scale: (factors, from = this.current && this.at(this.current), to = from) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), this.#isNewGesture()),
     });
     this.load = latest((signal) => this.#load(signal));
-    const { signal } = this.closing;
-    queryChanges.addEventListener("change", () => this.#follow(), { signal });
-    onThemeChange(() => this.isLoaded && this.showLegend(), signal);
+    queryChanges.addEventListener("change", () => this.#follow(), { signal: this.signal });
+    onThemeChange(() => this.isLoaded && this.showLegend(), this.signal);
     this.load();
   }
 
-  #announce = debounced(ANNOUNCED_MS, () => announce(this.readout.textContent));
+  #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
 
-  #updateTable = debounced(ANNOUNCED_MS, () => this.table.update());
+  #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
 
   /** Whether values are in the window on display. */
   isVisible(x, y = null) {
@@ -186,13 +183,6 @@ export class PlotView {
     return this.gesture - before > GESTURE_MS;
   }
 
-  close() {
-    this.closing.abort();
-    this.#announce.cancel();
-    this.#updateTable.cancel();
-    clearTimeout(this.timer);
-  }
-
   /** Of a running job each second: what is loading is shown first, however long it takes. */
   update(job) {
     this.source.job = job;
@@ -226,12 +216,13 @@ export class PlotView {
 
   async #load(signal) {
     clearTimeout(this.timer);
+    if (this.signal.aborted) return;
     this.plot.element.setAttribute("aria-busy", "true");
     const paths = this.paths();
     this.requested = paths.join();
     try {
       const results = await Promise.all(paths.map((path) => requestFitting(path, { signal })));
-      if (this.closing.signal.aborted) return;
+      if (this.signal.aborted) return;
       const position = this.current && this.at(this.current);
       this.read(results);
       this.results = results;
@@ -247,7 +238,7 @@ export class PlotView {
       this.#showError(error);
     } finally {
       this.plot.element.removeAttribute("aria-busy");
-      if (this.isOutdated && !this.closing.signal.aborted) this.load();
+      if (this.isOutdated && !this.signal.aborted) this.load();
       this.isOutdated = false;
     }
   }
@@ -262,7 +253,7 @@ export class PlotView {
 
   /** An error takes the place of the plot unless earlier data are still shown. */
   #showError(error) {
-    if (this.closing.signal.aborted || (error && isHandledElsewhere(error))) return;
+    if (this.signal.aborted || (error && isHandledElsewhere(error))) return;
     this.problem.show(error);
     this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.isLoaded;
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);
