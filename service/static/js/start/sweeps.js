@@ -21,6 +21,7 @@ const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "
 
 export class SweepList {
   rows = new Map(); // job id → row
+  selected = new Set(); // ids, in the order in which they were selected
   cursors = [null]; // of the pages up to the shown one
   jobs = []; // shown
 
@@ -33,9 +34,9 @@ export class SweepList {
     this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
       h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, find) })),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
-    this.all = h("input", { type: "checkbox", onchange: () => this.#selectAll(this.all.checked) });
+    this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
-    this.compare = button("Compare", () => navigate(["compare"], { jobs: this.selected.map(({ id }) => id).join() }));
+    this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected].join() }));
     this.remove = button("Delete", () => this.#delete());
     this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
     this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
@@ -141,6 +142,7 @@ export class SweepList {
       if (ids.has(id)) continue;
       row.element.remove();
       this.rows.delete(id);
+      this.selected.delete(id);
     }
     jobs.forEach((job, index) => {
       if (!this.rows.has(job.id)) this.rows.set(job.id, this.#row());
@@ -153,7 +155,7 @@ export class SweepList {
 
   #row() {
     let job;
-    const box = h("input", { type: "checkbox", onchange: () => this.#showSelection() });
+    const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
     const pin = workButton("", () => this.#pin(job), (error) => this.showError(error), { className: "quiet pin" });
     const name = h("a", {});
     const time = h("span", { className: "note" });
@@ -177,18 +179,17 @@ export class SweepList {
     return { element, update, box };
   }
 
-  /** The jobs whose boxes are checked. */
-  get selected() {
-    return this.jobs.filter(({ id }) => this.rows.get(id).box.checked);
-  }
-
-  #selectAll(on) {
-    for (const { box } of this.rows.values()) box.checked = on;
+  #select(jobs, on) {
+    for (const { id } of jobs) {
+      if (on) this.selected.add(id);
+      else this.selected.delete(id);
+    }
     this.#showSelection();
   }
 
   #showSelection() {
-    const { selected } = this;
+    for (const [id, { box }] of this.rows) box.checked = this.selected.has(id);
+    const selected = this.jobs.filter(({ id }) => this.selected.has(id));
     this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
     this.all.indeterminate = selected.length > 0 && !this.all.checked;
     setText(this.chosen, selected.length ? `${count(selected.length)} selected${selected.length > MOST_COMPARED ? `; at most ${MOST_COMPARED} can be compared` : ""}` : "");
@@ -205,9 +206,8 @@ export class SweepList {
 
   /** Delete the selected sweeps that are finished, after a confirmation that names them. */
   async #delete() {
-    const { selected } = this;
-    const finished = selected.filter((job) => !UNFINISHED.has(job.state));
-    const running = selected.length - finished.length;
+    const finished = this.jobs.filter((job) => this.selected.has(job.id) && !UNFINISHED.has(job.state));
+    const running = this.selected.size - finished.length;
     const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
     const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
     const kept = running ? ` Kept, as not finished: ${plural(running, "sweep")}.` : "";
