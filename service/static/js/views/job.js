@@ -62,13 +62,8 @@ export class JobView {
   }
 
   async #poll(redraw) {
-    let job;
-    try {
-      job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal });
-    } catch (error) {
-      this.#pollFailed(error, redraw);
-      return;
-    }
+    const job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal }).catch((error) => this.#pollFailed(error, redraw));
+    if (!job) return;
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
     if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
