@@ -51,7 +51,7 @@ LONG_LINE: dict[str, Any] = {
 
 #: Moves the first slider to each index and returns the times until the plot was redrawn, ms.
 _MOVE_SLIDER = """async indices => {
-    const slider = document.querySelector("main input[type=range]");
+    const slider = document.querySelector("main .slider:not([hidden]) input[type=range]");
     const plot = document.querySelector(".panel .plot");
     const times = [];
     for (const index of indices) {

@@ -6,8 +6,9 @@ import { currentAddress, discardPending, navigate, replace } from "./lib/address
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
 
-// A page is built with its root element and the address. It has refresh(redraw): load again; close(); and, where the
-// address may change to another state of the same page, show(). Without the names of every object, such as constructor.
+// A page is built with its root element, the address and a signal that is aborted when the page is left. It has
+// refresh(redraw): load again; and, where the address may change to another state of the same page, show(). Without the
+// names of every object, such as constructor.
 const PAGES = {
   __proto__: null,
   "": async () => (await import("./start/sweeps.js")).SweepList,
@@ -20,6 +21,7 @@ const REST_MS = 2000; // after the first page the others are loaded
 const root = document.getElementById("view");
 let page = null; // while it is loaded
 let shown = null; // which page
+let leaving = new AbortController(); // it
 
 async function showAddress() {
   discardPending();
@@ -31,13 +33,16 @@ async function showAddress() {
     page?.show?.();
     return;
   }
-  page?.close();
+  leaving.abort();
+  leaving = new AbortController();
+  document.getElementById("bar").replaceChildren();
+  root.dataset.page = name;
   const isFirst = shown === null;
   [page, shown] = [null, wanted];
   const load = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
   const Page = await load().catch(() => connection.dispatchEvent(new Event("unreachable")) && null);
   if (!Page || page || wanted !== shown) return; // the service is away; built, or left, meanwhile
-  page = new Page(root, currentAddress());
+  page = new Page(root, currentAddress(), leaving.signal);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
     else anchor.removeAttribute("aria-current");
@@ -64,7 +69,6 @@ class NotFound {
   }
 
   refresh() {}
-  close() {}
 }
 
 // Not through the link's address, which holds the view.

@@ -2,16 +2,15 @@
 
 import { cellQuery, currentQuery, link, navigate, setQuery, windowQuery } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
-import { h, problemLine } from "../lib/dom.js";
+import { choice, h, problemLine } from "../lib/dom.js";
 import { isSweep } from "../lib/physics.js";
 import { branchColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
-import { choice } from "../views/controls.js";
 import { Diagram } from "../views/diagram.js";
-import { buildFrame, clearBar } from "../views/frame.js";
+import { buildFrame } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
-import { MOST_COMPARED, sourceOf } from "../views/plot-view.js";
-import { summary, titleOf } from "../views/progress.js";
+import { sourceOf } from "../views/plot-view.js";
+import { MOST_COMPARED, summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };
@@ -20,7 +19,8 @@ const ON_MAPS = { __proto__: null, maps: Modes, difference: Difference };
 export class Compare {
   views = [];
 
-  constructor(root, { query }) {
+  constructor(root, { query }, signal) {
+    this.signal = signal;
     document.title = "Comparison · Bouncing spring";
     this.ids = [...new Set((query.jobs ?? "").split(",").filter(Boolean))];
     this.problem = problemLine();
@@ -31,12 +31,6 @@ export class Compare {
     this.refresh();
   }
 
-  close() {
-    this.closed = true;
-    clearBar();
-    this.views.forEach((view) => view.close());
-  }
-
   async refresh() {
     if (this.sources) {
       this.views.forEach((view) => view.load());
@@ -45,8 +39,7 @@ export class Compare {
     try {
       if (this.ids.length < 2) throw new Error("Select two sweeps or more in the list of sweeps, and press Compare.");
       if (this.ids.length > MOST_COMPARED) throw new Error(`At most ${MOST_COMPARED} sweeps can be compared; ${this.ids.length} were selected.`);
-      const jobs = await Promise.all(this.ids.map((id) => requestJson(`/v1/jobs/${id}`)));
-      if (this.closed) return;
+      const jobs = await Promise.all(this.ids.map((id) => requestJson(`/v1/jobs/${id}`, { signal: this.signal })));
       const others = jobs.filter(({ spec }) => !isSweep(spec)).map(titleOf).join(", ");
       if (jobs.filter(({ spec }) => isSweep(spec)).length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
       this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
@@ -75,7 +68,9 @@ export class Compare {
   }
 
   #build(layout) {
-    this.views.forEach((view) => view.close());
+    this.leaving?.abort();
+    this.leaving = new AbortController(); // of this layout
+    const signal = AbortSignal.any([this.signal, this.leaving.signal]);
     const [View, sources] = [ON_MAPS[layout] ?? Diagram, layout === "maps" ? this.mapped : this.sources];
     const groups = layout === "difference" ? [sources.slice(0, 2)] : layout === "overlay" ? [sources] : sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
@@ -86,7 +81,7 @@ export class Compare {
     this.bar.replaceChildren();
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      sources: group, signal, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
       onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown

@@ -4,7 +4,7 @@ import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { modeText, nearestIndex } from "../lib/physics.js";
-import { modeClasses, modeColour, theme } from "../plot/colours.js";
+import { modeClasses, modeColour } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
@@ -57,10 +57,6 @@ export class Difference extends PlaneView {
     });
   }
 
-  showLegend() {
-    this.legend.show(this.classes, theme().dark);
-  }
-
   isHidden(cell) {
     const index = this.indexOf(cell);
     return this.differs[index] !== OTHER_MODE || this.legend.hidden.has(this.classes.ofCell[index]);
@@ -68,9 +64,5 @@ export class Difference extends PlaneView {
 
   columnsOfTable() {
     return [...this.columnsOfPlane(), ["first", (cell) => modeText(this.first, this.indexOf(cell))], ["second", (cell) => modeText(this.second, this.indexOf(cell))]];
-  }
-
-  cellOf({ column, row }) {
-    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.directions[0] };
   }
 }

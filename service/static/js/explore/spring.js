@@ -2,15 +2,15 @@
 
 import { cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
-import { h, latest } from "../lib/dom.js";
+import { choice, h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { AXES, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
-import { choice, given, numberInput, sliders } from "../views/controls.js";
+import { given, numberInput, sliders } from "../views/controls.js";
 import { CyclesView } from "../views/cycles.js";
-import { buildFrame, clearBar } from "../views/frame.js";
+import { buildFrame } from "../views/frame.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
 const GRID = { gamma: range(0.1, 8, 0.01), omega: range(0.1, 2, 0.005), xi: range(0, 1, 0.005) };
@@ -37,8 +37,8 @@ function contactOf() {
 class Cycles extends CyclesView {
   isContinuous = true;
 
-  constructor(root, bar, words, motion) {
-    super({ sources: [SPRING], bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
+  constructor(root, signal, bar, words, motion) {
+    super({ sources: [SPRING], signal, bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
     Object.assign(this, { motion, words });
     const typed = h("span", { className: "controls" });
     const contact = choice("Contact", CONTACTS, "", (name) => { setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null }); this.showChoices(); });
@@ -49,7 +49,7 @@ class Cycles extends CyclesView {
     };
     this.showChoices();
     this.build(root, { controls: h("div", { className: "controls" }, sliders(this, AXES), contact, typed, cycles), hint: HINT });
-    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.closing.signal });
+    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.signal });
     this.describeThresholds();
   }
 
@@ -113,22 +113,20 @@ class Cycles extends CyclesView {
 }
 
 export class Explore {
-  constructor(root) {
+  constructor(root, address, signal) {
     document.title = "Explore · Bouncing spring";
     setQuery({ ...START, ...currentQuery() });
-    this.root = root;
     this.sweep = h("a", {}, "New sweep around this spring");
     const words = h("p", { className: "summary closed", role: "status" });
     const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
-    root.classList.add("explored");
-    this.motion = new TrajectoryPanel(aside);
-    this.view = new Cycles(panel, controls, words, this.motion);
+    this.motion = new TrajectoryPanel(aside, signal);
+    this.view = new Cycles(panel, signal, controls, words, this.motion);
     const move = latest(() => this.#move()); // not aborted: the service computes it anyway
     this.load = () => {
       this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });
       move();
     };
-    queryChanges.addEventListener("change", () => this.load(), { signal: this.view.closing.signal });
+    queryChanges.addEventListener("change", () => this.load(), { signal: this.view.signal });
     this.load();
   }
 
@@ -140,13 +138,6 @@ export class Explore {
   refresh() {
     this.view.load();
     this.load();
-  }
-
-  close() {
-    this.root.classList.remove("explored");
-    clearBar();
-    this.view.close();
-    this.motion.hide();
   }
 
   async #move() {

@@ -21,7 +21,8 @@ export class SweepForm {
   edited = new Set(); // names of the fields edited since the form was last filled
   given = {}; // the specification that it was filled with, if it did not begin anew
 
-  constructor(root) {
+  constructor(root, address, signal) {
+    this.signal = signal;
     document.title = "New study · Bouncing spring";
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
     [this.problem, this.missing] = [problemLine(), problemLine()];
@@ -42,12 +43,6 @@ export class SweepForm {
   refresh() {
     if (this.isLoaded) this.estimate();
     else this.#load();
-  }
-
-  close() {
-    this.closed = true;
-    this.estimate.cancel();
-    this.pasted.close();
   }
 
   #build() {
@@ -98,7 +93,7 @@ export class SweepForm {
     this.isLoaded = false;
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
     const { figure, from, field, model, restitution, penetration } = currentQuery();
-    const isOutdated = () => this.closed || currentQuery().figure !== figure || currentQuery().from !== from;
+    const isOutdated = () => this.signal.aborted || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       if (!this.form) {
         [this.studies, this.presets] = await Promise.all([loadStudies(), loadPresets()]);
@@ -127,23 +122,18 @@ export class SweepForm {
   }
 
   /** Show a specification, but for what was edited. */
-  #fill(spec) {
-    const kind = kindOf(spec);
-    const kept = this.edited.size ? this.#read() : {};
-    this.#show(this.edited.has("protocol") ? this.shown : kind);
-    for (const [name, field] of Object.entries(this.fields)) field.write((this.edited.has(name) ? kept : spec)[name]);
+  #fill(spec, kind = this.edited.has("protocol") ? this.shown : kindOf(spec), isKept = (name) => this.edited.has(name)) {
+    const kept = this.fields ? this.#read() : {};
+    this.#show(kind);
+    for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) ? kept : spec)[name]);
     this.#onChange();
   }
 
   /** Another kind of study begins with its own fields; what was edited or given stays. */
   #change() {
-    const kept = this.#read();
-    const kind = this.kind.value;
-    this.#show(kind);
     const isKept = (name) => !["protocol", "refine", "exponents"].includes(name) && (this.edited.has(name) || name in this.given);
-    for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) ? kept : this.studies[kind].begin)[name]);
+    this.#fill(this.studies[this.kind.value].begin, this.kind.value, isKept);
     this.edited.add("protocol");
-    this.#onChange();
   }
 
   /** Take a specification as it is. */
@@ -174,7 +164,7 @@ export class SweepForm {
   }
 
   async #estimate(signal) {
-    if (!this.isLoaded) return; // another specification would be estimated, and submitted
+    if (!this.isLoaded || this.signal.aborted) return; // another specification would be estimated, and submitted
     const body = this.#read();
     try {
       const cost = await requestJson("/v1/jobs?validate_only=true", { method: "POST", body, signal });
@@ -202,7 +192,7 @@ export class SweepForm {
     try {
       const job = await requestJson(`/v1/jobs?${query(within)}`, { method: "POST", body: this.#read() });
       announce("Submitted.");
-      if (this.closed) return;
+      if (this.signal.aborted) return;
       replace(["new"], { from: job.id }); // the browser's back button returns to what was submitted
       navigate(["job", job.id]);
     } catch (error) {

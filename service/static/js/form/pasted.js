@@ -37,10 +37,6 @@ export class PastedSpecification {
     }
   }
 
-  close() {
-    this.take.cancel();
-  }
-
   async #take(taken) {
     this.problem.show(null);
     if (!this.text.value.trim()) return;

@@ -2,7 +2,7 @@
 // or its levels, as fine as fit into the time.
 
 import { partsOf, query, requestDataset } from "../lib/api.js";
-import { announce, h, problemLine } from "../lib/dom.js";
+import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { bytes, count, duration, share } from "../lib/format.js";
 import { table } from "../lib/table.js";
 
@@ -19,19 +19,22 @@ function seconds(text) {
 /** Compares settings of the sweep that `read()` returns; `use(spec)` takes one of them, `compute(seconds)` its levels. */
 export class Plan {
   constructor(read, use, compute) {
-    [this.read, this.use, this.compute] = [read, use, compute];
+    [this.read, this.use] = [read, use];
     this.budget = h("input", { type: "text", size: "6", placeholder: "5m", onkeydown: (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault(); // the form is not submitted
-      this.#compare();
+      compare.click();
     } });
-    this.within = h("button", { type: "button", onclick: () => this.#computeWithin() }, "Compute within it");
-    this.button = h("button", { type: "button", onclick: () => this.#compare() }, "Compare settings");
     this.problem = problemLine();
+    const compare = workButton("Compare settings", () => this.#compare(), this.problem.show, { busy: "Comparing …" });
+    const within = workButton("Compute within it", () => {
+      this.problem.show(null);
+      return compute(seconds(this.budget.value || this.budget.placeholder));
+    }, this.problem.show);
     this.table = h("div", { hidden: true });
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
       h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
-      h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), this.button, this.within), this.problem.element, this.table);
+      h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), compare, within), this.problem.element, this.table);
   }
 
   /** Drop a table that was of another specification. */
@@ -41,35 +44,16 @@ export class Plan {
     this.problem.show(null);
   }
 
-  async #computeWithin() {
-    this.problem.show(null);
-    this.within.disabled = true;
-    try {
-      await this.compute(seconds(this.budget.value || this.budget.placeholder));
-    } catch (error) {
-      this.problem.show(error);
-    } finally {
-      this.within.disabled = false;
-    }
-  }
-
   async #compare() {
     this.clear();
     this.comparing = new AbortController();
     const { signal } = this.comparing;
-    [this.button.disabled, this.button.textContent] = [true, "Comparing …"];
-    try {
-      const plan = await requestDataset(`/v1/plans?${query({ budget: seconds(this.budget.value) })}`, { method: "POST", body: this.read(), signal, waits: true });
-      const rows = partsOf(plan, "setting");
-      this.table.replaceChildren(this.#rows(rows));
-      this.table.hidden = false;
-      const { effort, grid, high } = rows.find(({ recommended }) => recommended);
-      announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong.`);
-    } catch (error) {
-      this.problem.show(error);
-    } finally {
-      [this.button.disabled, this.button.textContent] = [false, "Compare settings"];
-    }
+    const plan = await requestDataset(`/v1/plans?${query({ budget: seconds(this.budget.value) })}`, { method: "POST", body: this.read(), signal, waits: true });
+    const rows = partsOf(plan, "setting");
+    this.table.replaceChildren(this.#rows(rows));
+    this.table.hidden = false;
+    const { effort, grid, high } = rows.find(({ recommended }) => recommended);
+    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong.`);
   }
 
   #rows(rows) {

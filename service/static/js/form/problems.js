@@ -3,7 +3,7 @@
 import { h } from "../lib/dom.js";
 import { AXES } from "../lib/physics.js";
 
-/** Show a Problem's errors at their fields, and those without a visible field in the problem line `general`; null clears them. */
+/** Show the errors of a problem at their fields, and those without a visible field in the problem line `general`; null clears them. */
 export function showProblems(form, general, problem) {
   clear(form);
   const other = [];

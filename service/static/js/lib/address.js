@@ -21,7 +21,7 @@ export function navigate(path, query = {}) {
 }
 
 // Browsers limit how often the address may change; a slider changes it hundreds of times.
-const write = debounced(120, (target) => history.replaceState(null, "", target));
+const write = debounced(120, () => pending && history.replaceState(null, "", link(pending.path, pending.query)));
 let pending = null;
 
 /** Dispatches "change" after every setQuery(). */
@@ -36,7 +36,7 @@ export function setQuery(changes, isStep = false) {
   pending ??= currentAddress();
   const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => value !== null && value !== undefined);
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
-  write(link(pending.path, pending.query));
+  write();
   queryChanges.dispatchEvent(new Event("change"));
 }
 
@@ -51,7 +51,6 @@ export const currentQuery = () => (pending ?? currentAddress()).query;
 
 /** Drop changes not written yet: they belong to a view that was left. */
 export function discardPending() {
-  write.cancel();
   pending = null;
 }
 

@@ -1,19 +1,5 @@
 // Requests to the service, and their errors.
 
-/** The service refused a request: its message, the HTTP status, and `errors`, a list of {field, rule, code}. */
-export class Problem extends Error {
-  constructor(status, { detail, errors = [] }) {
-    super(detail);
-    this.status = status;
-    this.errors = errors;
-  }
-}
-
-/** The service did not answer. */
-export class Unreachable extends Error {
-  name = "Unreachable";
-}
-
 /** Dispatches "unreachable" when a request gets no answer, "waiting" with the number of requests that the busy service told to come again, and "unauthorized" when the service requires a token, whose `detail.refused` tells that it refused the one it got. */
 export const connection = new EventTarget();
 
@@ -37,7 +23,7 @@ export function takeToken() {
 const RETRY_S = 1; // without a Retry-After
 let waiting = 0;
 
-/** The response to one request. While the service is too busy (429) for a GET, or for what `waits`, it is repeated until `timeout`. Throws Problem, Unreachable, or an AbortError if `signal` aborts. */
+/** The response to one request. While the service is too busy (429) for a GET, or for what `waits`, it is repeated until `timeout`. Throws a problem (see problemOf), Unreachable, or an AbortError if `signal` aborts. */
 export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } = {}) {
   const deadline = performance.now() + timeout;
   for (;;) {
@@ -45,7 +31,7 @@ export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } 
     if (response.ok) return response;
     const pause = 1000 * Math.max(Number(response.headers.get("Retry-After")) || RETRY_S, 0.1);
     const left = deadline - performance.now();
-    if (response.status !== 429 || !(waits ?? (options.method ?? "GET") === "GET") || left <= 0) throw new Problem(response.status, await problemOf(response));
+    if (response.status !== 429 || !(waits ?? (options.method ?? "GET") === "GET") || left <= 0) throw await problemOf(response);
     await sleepWhileBusy(Math.min(pause, left), options.signal);
   }
 }
@@ -83,7 +69,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
 const answered = (promise, signal) => promise.catch((error) => {
   if (signal?.aborted) throw error;
   connection.dispatchEvent(new Event("unreachable"));
-  throw new Unreachable("the service does not answer");
+  throw new DOMException("the service does not answer", "Unreachable");
 });
 
 async function sleepWhileBusy(ms, signal) {
@@ -157,4 +143,9 @@ export function query(values) {
 /** Whether a view need not show this error: the banner or the token dialog does, or the request was aborted on purpose. */
 export const isHandledElsewhere = (error) => error.name === "Unreachable" || error.name === "AbortError" || error.status === 401;
 
-const problemOf = (response) => response.json().catch(() => ({ detail: `the service answered ${response.status} ${response.statusText}` }));
+/** Why the service refused a request: an Error with its message, the HTTP `status`, and `errors`, a list of {field, rule, code}. */
+async function problemOf(response) {
+  const { status, statusText } = response;
+  const { detail, errors = [] } = await response.json().catch(() => ({ detail: `the service answered ${status} ${statusText}` }));
+  return Object.assign(new Error(detail), { status, errors });
+}

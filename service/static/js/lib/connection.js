@@ -36,14 +36,12 @@ export function watchConnection(onRestored) {
     dialog.returnValue = "";
     dialog.showModal();
   });
-  dialog.addEventListener("close", () => dialog.returnValue || dialog.showModal()); // after Escape: nothing can be shown
-  dialog.querySelector("form").addEventListener("submit", (event) => {
-    event.preventDefault();
+  dialog.addEventListener("close", () => {
+    if (!dialog.returnValue) return dialog.showModal(); // after Escape: nothing can be shown
     const input = dialog.querySelector("input");
     setToken(input.value.trim());
     input.value = "";
     refusal.hidden = true;
-    dialog.close("given");
     onRestored();
   });
 }

@@ -17,6 +17,10 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
+/** A choice among `options`, [[value, text], …], with a label. */
+export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
+  h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
+
 /** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
 export function problemLine() {
   const element = h("p", { className: "problem", role: "alert", hidden: true });
@@ -27,6 +31,24 @@ export function problemLine() {
   };
   const showInView = (error) => { show(error); element.scrollIntoView({ block: "nearest" }); };
   return { element, show, showInView };
+}
+
+/** A button that cannot be pressed again until `work()` ends, which `busy` says; `failed(error)` tells why it did not. */
+export function workButton(title, work, failed, { busy, ...props } = {}) {
+  const button = h("button", { type: "button", ...props, onclick: async () => {
+    button.disabled = true;
+    if (busy) button.textContent = busy;
+    try {
+      await work();
+    } catch (error) {
+      failed(error);
+    } finally {
+      button.disabled = false;
+      if (busy) button.textContent = title;
+      if (document.activeElement === document.body) button.focus({ preventScroll: true }); // which a disabled button loses
+    }
+  } }, title);
+  return button;
 }
 
 const SAID_MS = 1500;
@@ -47,15 +69,13 @@ export function announce(text) {
   document.getElementById("status").textContent = text;
 }
 
-/** `work`, called only after `milliseconds` without another call. `cancel()` drops a pending call. */
+/** `work`, called only after `milliseconds` without another call. */
 export function debounced(milliseconds, work) {
   let timer;
-  const call = (...args) => {
+  return () => {
     clearTimeout(timer);
-    timer = setTimeout(() => work(...args), milliseconds);
+    timer = setTimeout(work, milliseconds);
   };
-  call.cancel = () => clearTimeout(timer);
-  return call;
 }
 
 const ABORT_AFTER_MS = 150;

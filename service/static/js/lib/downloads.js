@@ -1,27 +1,16 @@
 // Download buttons and file names.
 
 import { requestBlob } from "./api.js";
-import { h } from "./dom.js";
+import { h, workButton } from "./dom.js";
 
 /** A row of download buttons: `files` is [[label, () => file name, () => Blob or promise of one], …]. */
 export function downloads(files) {
   const status = h("span", { className: "note", role: "status" });
-  const button = ([label, name, make]) =>
-    h("button", {
-      type: "button", className: "quiet", "aria-label": `Download ${label}`,
-      onclick: async (event) => {
-        const pressed = event.currentTarget;
-        pressed.disabled = true;
-        status.textContent = "";
-        try {
-          save(await make(), name());
-        } catch (error) {
-          status.textContent = error.message;
-        } finally {
-          pressed.disabled = false;
-        }
-      },
-    }, label);
+  const failed = (error) => { status.textContent = error.message; };
+  const button = ([label, name, make]) => workButton(label, async () => {
+    status.textContent = "";
+    save(await make(), name());
+  }, failed, { className: "quiet", "aria-label": `Download ${label}` });
   return h("div", { className: "downloads", role: "group", "aria-label": "Downloads" },
     h("span", {}, "Download"), files.map(button), status);
 }

@@ -12,10 +12,10 @@ export const table = (label, titles, rows, rowClass = () => undefined) => h("div
   h("tbody", {}, rows.map(([first, ...others], i) => h("tr", { className: rowClass(i) }, h("th", { scope: "row" }, first), others.map((cell) => h("td", {}, cell)))))));
 
 /** Rows as lines, their cells separated by `separator`, with numbers as programs read them; in CSV cells with commas or quotes are quoted. */
-const lines = ({ titles, length, row }, separator) => [titles, ...Array.from({ length }, (_, i) => row(i, true))]
+const lines = ([columns, items], separator) => [columns.map(([title]) => title), ...items.map((item) => columns.map(([, text]) => text(item, true)))]
   .map((cells) => cells.map((cell) => (separator === "," && /[",]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell).replace(/^–$/, "").replaceAll("−", "-").replaceAll("·10^", "e")).join(separator)).join("\n");
 
-/** A table of PAGE rows at a time, folded away; `read()` gives {titles, length, row(i, whole): its texts, shortened or not} whenever it is shown, `name()` the CSV's name. */
+/** A table of PAGE rows at a time, folded away; `read()` gives its columns, [[title, (item, whole) => text, shortened or not], …], and the items whenever it is shown, `name()` the CSV's name. */
 export class PagedTable {
   constructor(label, read, name, open = false) {
     Object.assign(this, { label, read, first: 0 });
@@ -31,10 +31,11 @@ export class PagedTable {
   /** Show the rows that there are now, while the table is open. */
   update() {
     if (!this.element.open) return;
-    const { titles, length, row } = this.read();
+    const [columns, items] = this.read();
+    const { length } = items;
     this.first = Math.max(0, Math.min(this.first, Math.ceil(length / PAGE) * PAGE - PAGE));
     const last = Math.min(this.first + PAGE, length);
-    this.body.replaceChildren(table(this.label, titles, Array.from({ length: last - this.first }, (_, i) => row(this.first + i))));
+    this.body.replaceChildren(table(this.label, columns.map(([title]) => title), items.slice(this.first, last).map((item) => columns.map(([, text]) => text(item)))));
     this.range.textContent = length ? `${count(this.first + 1)} to ${count(last)} of ${count(length)}` : "no rows";
     this.previous.hidden = !this.first;
     this.next.hidden = last === length;

@@ -1,13 +1,12 @@
 // The motion of a cell, a cycle or a start: played, in words, with its return map, phase portrait and values.
 
 import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
-import { h, problemLine } from "../lib/dom.js";
+import { h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
-import { number } from "../lib/format.js";
-import { SYMBOL, hasOwnCycles, startOf } from "../lib/physics.js";
+import { number, plural } from "../lib/format.js";
+import { SYMBOL, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
-import { describeMotion, requestMotion } from "./motion.js";
-import { Player } from "./player.js";
+import { Player, periodsOf } from "./player.js";
 import { Portraits } from "./portraits.js";
 
 /** Of a motion that is played, in plate periods and samples per period; of a start, which takes longer to show where it leads. */
@@ -17,15 +16,18 @@ const LONGEST = 24; // plate periods of a cycle that is played whole
 /** Of a return map, which needs many flights and nothing else of the motion. */
 const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which the note explains the delay
-const MAX_LISTED = 8; // numbers of a variable
+const MAX_LISTED = 8; // flights, or numbers of a variable
+const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
+const MIN_FLIGHT = 1e-3; // rad: shorter flights are not listed
 
 export class TrajectoryPanel {
   player = null; // while something is shown
   trajectory = null;
 
-  /** Shown in `root`; without `onClose` it cannot be closed. */
-  constructor(root, onClose = null) {
+  /** Shown in `root`, until `signal` aborts; without `onClose` it cannot be closed. */
+  constructor(root, signal, onClose = null) {
     Object.assign(this, { root, onClose });
+    signal.addEventListener("abort", () => this.hide());
   }
 
   /**
@@ -80,8 +82,9 @@ export class TrajectoryPanel {
     this.note = h("p", { className: "note computing", role: "status", hidden: true });
     this.problem = problemLine();
     this.readout = h("p", { className: "readout", role: "status" });
-    this.player = new Player();
-    this.portraits = new Portraits();
+    this.closing = new AbortController();
+    this.player = new Player(this.closing.signal);
+    this.portraits = new Portraits(this.closing.signal);
     this.root.hidden = false;
     this.root.replaceChildren(
       h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
@@ -133,25 +136,20 @@ export class TrajectoryPanel {
   /** A button that has the cell's cycle proven, and the answer in its place. */
   #offerProof(path, signal) {
     const prove = async () => {
-      this.proof.textContent = "Proving …";
-      try {
-        const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
-        const flights = times.data.map(([low, high]) => h("li", {}, `${low} to ${high} rad`));
-        const about = flights.length > MAX_LISTED ? ` The first ${MAX_LISTED} of ${flights.length} flights:` : flights.length ? " Flights:" : "";
-        this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
-      } catch (error) {
-        if (!signal.aborted) this.proof.textContent = error.message;
-      }
+      const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
+      const flights = times.data.map(([low, high]) => h("li", {}, `${low} to ${high} rad`));
+      const about = flights.length > MAX_LISTED ? ` The first ${MAX_LISTED} of ${flights.length} flights:` : flights.length ? " Flights:" : "";
+      this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
     };
+    const failed = (error) => { if (!signal.aborted) this.proof.textContent = error.message; };
     this.proof.hidden = false;
-    this.proof.replaceChildren(h("button", { type: "button", className: "quiet", onclick: prove }, "Prove this cycle"));
+    this.proof.replaceChildren(workButton("Prove this cycle", prove, failed, { className: "quiet", busy: "Proving …" }));
   }
 
   hide() {
     this.request?.abort();
     clearTimeout(this.timer);
-    this.player?.close();
-    this.portraits?.close();
+    this.closing?.abort();
     Object.assign(this, { shown: null, player: null, trajectory: null });
     this.root.hidden = true;
     this.root.replaceChildren();
@@ -194,4 +192,26 @@ function startText(direction, job) {
   if (start?.kind === "attractor") return `on the attractor that ${start.number > 1 ? `is number ${start.number} by the drops that reach it` : "most drops reach"}`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;
+}
+
+/** A trajectory from its Dataset: lists, with NaN after its end; its phases since the first sample, as those of a drop begin at the plate's phase. */
+async function requestMotion(path, options) {
+  const { attrs, ...found } = await requestDataset(path, { ...options, waits: true, timeout: TIMEOUT_MS });
+  const list = (name) => Array.from(found[name].data);
+  const named = (names, value) => Object.fromEntries(names.map((name) => [name, value(name)]));
+  return {
+    ...attrs, ...named(["plate", "z1", "z2", "velocity", "in_flight"], list), ...named(["gamma", "omega", "xi"], (name) => found[name].data),
+    phase: list("phase").map((value, i, [first]) => value - first), flights: list("flight_time"),
+    cycle: found.cycle_multipliers && named(["bounces", "periods", "flight_time", "stable", "multipliers"], (name) => found[`cycle_${name}`].data),
+  };
+}
+
+/** The flights of a trajectory in words. */
+function describeMotion({ phase, flights, in_flight: flies, cycle, complete }) {
+  const times = flights.filter((time) => time > MIN_FLIGHT);
+  const listed = times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(", ");
+  const text = times.length
+    ? `${plural(times.length, "complete flight")} in ${periodsOf({ phase })} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`
+    : flies.some(Boolean) ? `No flight is complete within ${periodsOf({ phase })} plate periods.` : "The spring stays on the plate.";
+  return `${cycle ? `On the ${cycleText(cycle)}. ` : ""}${text}${complete ? "" : " The computation stopped before the end."}`;
 }

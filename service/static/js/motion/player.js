@@ -1,6 +1,6 @@
 // Playback of a trajectory: the animated spring, its heights over time as in the paper's Fig. 2 (a–d), and the controls.
 
-import { h } from "../lib/dom.js";
+import { choice, h } from "../lib/dom.js";
 import { TWO_PI } from "../lib/physics.js";
 import { theme } from "../plot/colours.js";
 import { disc, polygon, polyline, resizedContext, verticalLine } from "../plot/drawing.js";
@@ -25,7 +25,8 @@ export class Player {
   periods = 1; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
-  constructor() {
+  constructor(signal) {
+    this.signal = signal; // aborted when it is closed
     this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
@@ -37,11 +38,12 @@ export class Player {
         this.#draw();
       },
     });
+    const speeds = choice("Speed", SPEEDS.map((speed) => [speed, `× ${speed}`]), 1, (speed) => { this.speed = Number(speed); });
     this.element = h("div", { className: "player" },
       h("div", { className: "instant" }, this.canvas, figure),
-      h("div", { className: "controls" }, this.button, this.#speeds(), this.position));
+      h("div", { className: "controls" }, this.button, speeds, this.position));
     this.plot = new Plot(figure, {
-      takesInput: false, label: "Heights of the masses and the plate over plate periods",
+      signal, takesInput: false, label: "Heights of the masses and the plate over plate periods",
       content: () => this.heights && contentOf(this.heights, this.phase),
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
@@ -58,11 +60,6 @@ export class Player {
     this.play(this.playing);
   }
 
-  close() {
-    this.plot.close();
-    cancelAnimationFrame(this.frame);
-  }
-
   play(on) {
     this.playing = on;
     this.button.textContent = on ? "Pause" : "Play";
@@ -70,6 +67,7 @@ export class Player {
     if (!on) return;
     let previous = performance.now();
     const step = (now) => {
+      if (this.signal.aborted) return;
       this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (this.periods * TWO_PI);
       previous = now;
       this.#draw();
@@ -84,12 +82,6 @@ export class Player {
     this.plot.drawCursor();
     this.position.value = String(this.phase / TWO_PI);
     this.element.dataset.phase = this.phase.toFixed(3);
-  }
-
-  #speeds() {
-    return h("label", { className: "option" }, "Speed ",
-      h("select", { onchange: (event) => { this.speed = Number(event.target.value); } },
-        SPEEDS.map((speed) => h("option", { value: speed }, `× ${speed}`))));
   }
 }
 

@@ -17,15 +17,15 @@ export class Portraits {
   flights = null; // flight times in order
   trajectory = null;
 
-  constructor() {
+  constructor(signal) {
     const [map, portrait] = [h("figure", {}), h("figure", {})];
     this.mapNote = h("p", { className: "note" });
     this.element = h("div", { className: "portraits" },
       h("div", {}, h("h3", {}, "Return map"), map, this.mapNote),
       h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Dots: once per plate period (Poincaré section).")));
 
-    this.map = new Plot(map, { takesInput: false, label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights) });
-    this.portrait = new Plot(portrait, { takesInput: false, label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory) });
+    this.map = new Plot(map, { signal, takesInput: false, label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights) });
+    this.portrait = new Plot(portrait, { signal, takesInput: false, label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory) });
   }
 
   /** `flights`: of many plate periods; `trajectory`: of a few, finely sampled. Either may come later than the other. */
@@ -35,11 +35,6 @@ export class Portraits {
     if (this.flights) this.mapNote.textContent = mapText(this.flights);
     this.map.draw();
     this.portrait.draw();
-  }
-
-  close() {
-    this.map.close();
-    this.portrait.close();
   }
 }
 

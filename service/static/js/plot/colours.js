@@ -39,20 +39,27 @@ export function onThemeChange(listener, signal) {
 // shade.
 
 const HUES = palette.periods;
-const SHADES = 3;
-const FIRST = 10; // the class of the first shade of the first hue; codes of outcomes and labels are below
-const LONG = FIRST + SHADES * HUES.length;
-const MARGIN = LONG + 1; // the first class of certified cells by the modulus of their multiplier, up to these
+const SHADES = [["<", "fewer"], ["", "equal"], [">", "more"]];
 const MARGINS = [0.2, 0.4, 0.6, 0.8, 0.95, 1];
-const CLASSES = MARGIN + MARGINS.length;
+/** Of each class its name, which does not depend on its cells, its colours, light and dark, and how queries name it. */
+const CLASSES = [
+  ...LABEL_NAMES.map((query, code) => ({ name: outcomeText(code)?.replace(" on the plate", ""), colours: palette.labels[query], query })),
+  // "(<2, 2)" are modes of two periods with fewer bounces.
+  ...HUES.flatMap((shades, i) => SHADES.map(([sign, query], k) => ({ name: `(${sign}${i + 1}, ${i + 1})`, colours: [shades[k], shades[k]], query: `${i + 1}-${query}` }))),
+  { name: `over ${HUES.length} periods`, colours: palette.longer, query: "longer" },
+  // Certified cells by the modulus of their multiplier, up to these; queries have no name for them.
+  ...MARGINS.map((margin, i) => ({ name: `|μ| ${MARGINS[i - 1] ?? 0} to ${margin}`, colours: [palette.margins[i], palette.margins[i]], query: null })),
+];
+const FIRST = LABEL_NAMES.length; // the class of the first shade of the first hue
+const MARGIN = CLASSES.length - MARGINS.length; // the first class of certified cells
 /** Order of the legend: at rest, modes by period, the cells without a mode, the rest. */
-const ORDER = [OUTCOME.atRest, ...Array.from({ length: CLASSES - FIRST }, (_, i) => FIRST + i),
+const ORDER = [OUTCOME.atRest, ...Array.from({ length: CLASSES.length - FIRST }, (_, i) => FIRST + i),
   LABEL.unstable, LABEL.quasiPeriodic, LABEL.chaotic, OUTCOME.aperiodic, OUTCOME.settling, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
 
 function classOf(label, bounces, periods, multiplier) {
   if (Number.isFinite(multiplier)) return MARGIN + MARGINS.findIndex((margin) => multiplier < margin);
   if (label !== OUTCOME.periodic) return label;
-  return periods > HUES.length ? LONG : FIRST + SHADES * (periods - 1) + 1 + Math.sign(bounces - periods);
+  return periods > HUES.length ? MARGIN - 1 : FIRST + SHADES.length * (periods - 1) + 1 + Math.sign(bounces - periods);
 }
 
 /**
@@ -60,35 +67,18 @@ function classOf(label, bounces, periods, multiplier) {
  */
 export function modeClasses({ outcome, label: labels = outcome, bounces, periods, multiplier }) {
   const ofCell = new Uint8Array(labels.length);
-  const cells = new Uint32Array(CLASSES);
+  const cells = new Uint32Array(CLASSES.length);
   for (let i = 0; i < ofCell.length; i++) {
     const id = classOf(labels[i], bounces[i], periods[i], multiplier?.[i]);
     ofCell[i] = id;
     cells[id]++;
   }
   const present = ORDER.filter((id) => cells[id]);
-  return { ofCell, present: present.map((id) => ({ id, name: className(id), cells: cells[id] })) };
-}
-
-/** The name of a class, which does not depend on its cells: "(<2, 2)" are modes of two periods with fewer bounces. */
-function className(id) {
-  if (id < FIRST) return outcomeText(id).replace(" on the plate", "");
-  if (id >= MARGIN) return `|μ| ${MARGINS[id - MARGIN - 1] ?? 0} to ${MARGINS[id - MARGIN]}`;
-  if (id === LONG) return `over ${HUES.length} periods`;
-  const periods = Math.floor((id - FIRST) / SHADES) + 1;
-  return `(${["<", "", ">"][(id - FIRST) % SHADES]}${periods}, ${periods})`;
+  return { ofCell, present: present.map((id) => ({ id, name: CLASSES[id].name, cells: cells[id] })) };
 }
 
 /** How queries of the service name a class; null where they have no name for it. */
-export function classQuery(id) {
-  if (id < FIRST) return LABEL_NAMES[id];
-  if (id === LONG) return "longer";
-  return id < LONG ? `${Math.floor((id - FIRST) / SHADES) + 1}-${["fewer", "equal", "more"][(id - FIRST) % SHADES]}` : null;
-}
+export const classQuery = (id) => CLASSES[id].query;
 
 /** The colour of a class of cells. */
-export function modeColour(id, dark) {
-  if (id >= MARGIN) return palette.margins[id - MARGIN];
-  if (id >= FIRST && id < LONG) return HUES[Math.floor((id - FIRST) / SHADES)][(id - FIRST) % SHADES];
-  return (id === LONG ? palette.longer : palette.labels[LABEL_NAMES[id]])[Number(dark)];
-}
+export const modeColour = (id, dark) => CLASSES[id].colours[Number(dark)];

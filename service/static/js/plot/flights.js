@@ -1,6 +1,6 @@
 // The flight times of lines of cells on a plot: single dots while there are few, a density of flights otherwise.
 
-import { bitmap, disc, rgba32 } from "./drawing.js";
+import { bitmap, circle, disc, rgba32, verticalLine } from "./drawing.js";
 
 const MAX_DOTS = 4000; // flights in view
 const FAINTEST = 0.5; // opacity of a single flight, as in the service's pictures
@@ -30,12 +30,21 @@ function cellsInView(box, { values }) {
 function drawDots(ctx, box, line, cells, colour, isLarge) {
   const radius = Math.min(2.4, Math.max(1, box.width / 3 / cells.length)) * (isLarge ? 1.5 : 1);
   ctx.globalAlpha = isLarge ? 0.75 : 0.9;
-  for (const cell of cells) {
-    // The flights of a periodic cell repeat: one dot stands for all within half a pixel.
-    const heights = new Set(Array.from(flightsIn(line, cell), (time) => Math.round(2 * box.y.pixel(time)) / 2));
-    for (const y of heights) disc(ctx, colour, box.x.pixel(line.values[cell]), y, radius);
-  }
+  for (const cell of cells) drawCell(ctx, box, line.values[cell], flightsIn(line, cell), colour, radius);
   ctx.globalAlpha = 1;
+}
+
+/** The flights of a cell. Those of a periodic one repeat: one dot stands for all within half a pixel. */
+export function drawCell(ctx, box, value, times, colour, radius) {
+  const heights = new Set(Array.from(times, (time) => Math.round(2 * box.y.pixel(time)) / 2));
+  for (const y of heights) disc(ctx, colour, box.x.pixel(value), y, radius);
+}
+
+/** A line through a cell and a circle around each of its flights. */
+export function markCell(ctx, box, value, times) {
+  const x = box.x.pixel(value);
+  verticalLine(ctx, box, x, box.theme.cursor);
+  for (const time of times) circle(ctx, box.theme.cursor, 1.5, x, box.y.pixel(time), 4.5);
 }
 
 /** Flights per pixel, each on a square of pixels where cells are further apart: the more, the more opaque. */

@@ -64,8 +64,7 @@ export function drawFrame(ctx, box, { x, y }) {
   ctx.strokeStyle = theme.text;
   ctx.lineWidth = 1;
   ctx.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
-  drawXTicks(ctx, box);
-  drawYTicks(ctx, box, y.periods);
+  drawTicks(ctx, box, y.periods);
   const title = { align: "center", size: FONT_SIZE + 3, italic: true };
   ctx.font = `italic ${title.size}px ${theme.serif}`;
   if (x.label) texts.push({ ...title, text: x.label, x: left + width / 2, y: top + height + 36 });
@@ -73,22 +72,17 @@ export function drawFrame(ctx, box, { x, y }) {
   if (y.label) texts.push({ ...title, text: fits ? y.label : y.label.replace(/.* (?=[ΓΩξφ])/, ""), x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
 }
 
-/** Ticks point inwards on both sides, as in the paper's figures. */
-function drawXTicks(ctx, { x, left, top, width, height, narrow, theme, texts }) {
+/** Ticks point inwards on both sides, as in the paper's figures; on the right there may be labels of plate periods instead. */
+function drawTicks(ctx, { x, y, left, top, width, height, narrow, theme, texts }, periods) {
+  const [right, bottom] = [left + width, top + height];
   for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
-    const at = clamp(Math.round(x.pixel(value)), left, left + width - 1) + 0.5;
-    polyline(ctx, theme.text, 1, [[at, top + height - 6], [at, top + height]]);
-    polyline(ctx, theme.text, 1, [[at, top], [at, top + 6]]);
-    texts.push({ text, x: at, y: top + height + 14, align: "center" });
+    const at = clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5;
+    polyline(ctx, theme.text, 1, [[at, bottom - 6], [at, bottom], null, [at, top], [at, top + 6]]);
+    texts.push({ text, x: at, y: bottom + 14, align: "center" });
   }
-}
-
-/** The right side has the labels of the plate periods instead of ticks where there are any. */
-function drawYTicks(ctx, { y, left, top, width, height, theme, texts }, periods) {
   for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
-    const at = clamp(Math.round(y.pixel(value)), top, top + height - 1) + 0.5;
-    polyline(ctx, theme.text, 1, [[left, at], [left + 6, at]]);
-    if (!periods) polyline(ctx, theme.text, 1, [[left + width - 6, at], [left + width, at]]);
+    const at = clamp(Math.round(y.pixel(value)), top, bottom - 1) + 0.5;
+    polyline(ctx, theme.text, 1, [[left, at], [left + 6, at], null, ...(periods ? [] : [[right - 6, at], [right, at]])]);
     texts.push({ text, x: left - 7, y: at, align: "right" });
   }
 }

@@ -6,12 +6,20 @@ import { polyline } from "./drawing.js";
 const DRAG_PX = 6; // shorter movements are clicks
 const DOUBLE_MS = 300; // between the presses of a double click, which resets the zoom
 const LARGE_STEP = 10; // cells per arrow key with Shift, or PageUp and PageDown
+/** The handler that a key calls, and with what. */
+const KEYS = {
+  __proto__: null,
+  ArrowLeft: ["step", -1, 0], ArrowRight: ["step", 1, 0], Home: ["step", -Infinity, 0], End: ["step", Infinity, 0],
+  ArrowUp: ["step", 0, 1], ArrowDown: ["step", 0, -1], PageUp: ["step", 0, LARGE_STEP], PageDown: ["step", 0, -LARGE_STEP],
+  Enter: ["selectCurrent"], " ": ["selectCurrent"], Escape: ["leave"],
+  "+": ["scale", [0.5, 1]], "=": ["scale", [0.5, 1]], "-": ["scale", [2, 1]], 0: ["zoom", null],
+};
 const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
 /**
  * Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), isZoomed(), scale([factors of width and height], [x, y] that stays),
- * pan(from, to).
+ * step(right, up), zoom({x0, x1, y0, y1} or null for everything), isZoomed(), scale([factors of width and height], [x, y], where that goes
+ * if it does not stay).
  */
 export function listenToInput(plot, handlers) {
   const { element } = plot;
@@ -44,11 +52,10 @@ export function listenToInput(plot, handlers) {
     if (pressed.size === 2 && pressed.has(event.pointerId)) {
       const before = between(pressed);
       const after = between(pressed.set(event.pointerId, point));
-      handlers.pan(values(before.middle), values(after.middle));
-      handlers.scale(Array(2).fill(before.length / Math.max(after.length, 1)), values(before.middle));
+      handlers.scale(Array(2).fill(before.length / Math.max(after.length, 1)), values(before.middle), values(after.middle));
     } else if (dragStart && event.shiftKey) {
       element.setPointerCapture(event.pointerId);
-      if (dragEnd) handlers.pan(values(dragEnd), values(point));
+      if (dragEnd) handlers.scale([1, 1], values(dragEnd), values(point));
       [dragEnd, isPan] = [point, true];
     } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
       dragEnd = point;
@@ -87,27 +94,12 @@ export function listenToInput(plot, handlers) {
     handlers.scale([x < left ? 1 : factor, y > top + height ? 1 : factor], values([clamp(x, left, left + width), clamp(y, top, top + height)]));
   }, { passive: false });
 
-  const keys = {
-    ArrowLeft: (cells) => handlers.step(-cells, 0),
-    ArrowRight: (cells) => handlers.step(cells, 0),
-    ArrowUp: (cells) => handlers.step(0, cells),
-    ArrowDown: (cells) => handlers.step(0, -cells),
-    Enter: () => handlers.selectCurrent(),
-    " ": () => handlers.selectCurrent(),
-    Home: () => handlers.step(-Infinity, 0),
-    End: () => handlers.step(Infinity, 0),
-    PageUp: () => handlers.step(0, LARGE_STEP),
-    PageDown: () => handlers.step(0, -LARGE_STEP),
-    Escape: () => handlers.leave(),
-    "+": () => handlers.scale([0.5, 1]),
-    "=": () => handlers.scale([0.5, 1]),
-    "-": () => handlers.scale([2, 1]),
-    0: () => handlers.zoom(null),
-  };
   listen("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key]) return;
+    const key = KEYS[event.key];
+    if (event.ctrlKey || event.metaKey || event.altKey || !key) return;
     event.preventDefault();
-    keys[event.key](event.shiftKey ? LARGE_STEP : 1);
+    const [name, ...given] = key;
+    handlers[name](...(name === "step" && event.shiftKey ? given.map((cells) => cells * LARGE_STEP) : given));
   });
 }
 
@@ -134,24 +126,16 @@ function drawSelection(plot, from, to) {
   polyline(plot.cursor.getContext("2d"), theme.cursor, 1.5, corners, [4, 3]);
 }
 
-/** `window` with its sides `factors` times as long about `point`, within `whole`; null if that is all of it. */
-export function scaled({ box }, window, whole, factors, point) {
-  const side = (axis, [low, high], [least, most], factor, centre = axis.value((axis.pixel(low) + axis.pixel(high)) / 2)) => {
-    const end = (value) => axis.value(axis.pixel(centre) + factor * (axis.pixel(value) - axis.pixel(centre)));
-    return [Math.max(least, end(low)), Math.min(most, end(high))];
+/** `window` with its sides `factors` times as long, what was at `from` at `to`, within `whole`; null if that is all of it. */
+export function scaled({ box }, window, whole, factors, from, to = from) {
+  const side = (axis, [low, high], [least, most], i) => {
+    const centre = axis.value((axis.pixel(low) + axis.pixel(high)) / 2);
+    const [before, after] = [from, to].map((point) => axis.pixel(point?.[i] ?? centre));
+    const [start, end] = [low, high].map((value) => axis.value(before + factors[i] * (axis.pixel(value) - after)));
+    if (factors[i] === 1 && (start < least || end > most)) return [low, high]; // a window that is moved keeps its size
+    return [Math.max(least, start), Math.min(most, end)];
   };
-  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], factors[0], point?.[0]);
-  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], factors[1], point?.[1]);
+  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], 0);
+  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], 1);
   return x0 <= whole.x0 && x1 >= whole.x1 && y0 <= whole.y0 && y1 >= whole.y1 ? null : { x0, x1, y0, y1 };
-}
-
-/** `window` moved so that what was at `from` is at `to`, within `whole`. */
-export function panned({ box }, window, whole, from, to) {
-  const side = (axis, [low, high], [least, most], before, after) => {
-    const moved = (value) => axis.value(axis.pixel(value) + axis.pixel(before) - axis.pixel(after));
-    return moved(low) >= least && moved(high) <= most ? [moved(low), moved(high)] : [low, high];
-  };
-  const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], from[0], to[0]);
-  const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], from[1], to[1]);
-  return { x0, x1, y0, y1 };
 }

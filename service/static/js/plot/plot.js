@@ -17,10 +17,10 @@ let plots = 0;
  *   title, message (shown in the middle of an empty plot),
  *   margins: [left, right], in px, where they are those of another plot,
  *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …].
- * Dispatches "drawn" on its element after each drawing.
+ * Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts.
  */
 export class Plot {
-  constructor(root, { label, content, takesInput = true }) {
+  constructor(root, { label, content, signal, takesInput = true }) {
     this.content = content;
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
@@ -29,16 +29,10 @@ export class Plot {
     this.axes = h("p", { className: "visually-hidden", id: `axes-${(plots += 1)}` });
     this.element = h("div", { className: "plot", ...(takesInput ? { tabindex: "0", role: "application" } : { role: "img" }), "aria-label": label, "aria-describedby": this.axes.id }, this.canvas, this.cursor, this.texts, this.message, this.axes);
     root.append(this.element);
-    this.closing = new AbortController();
-    this.observer = new ResizeObserver(() => this.redraw());
-    this.observer.observe(this.element);
-    onThemeChange(() => this.draw(), this.closing.signal); // at once, before it is printed
-  }
-
-  close() {
-    this.closing.abort();
-    this.observer.disconnect();
-    cancelAnimationFrame(this.frame);
+    const observer = new ResizeObserver(() => this.redraw());
+    observer.observe(this.element);
+    signal.addEventListener("abort", () => observer.disconnect());
+    onThemeChange(() => this.draw(), signal); // at once, before it is printed
   }
 
   /** Draw everything in the next animation frame. */

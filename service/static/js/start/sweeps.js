@@ -2,11 +2,9 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
-import { announce, debounced, h, problemLine } from "../lib/dom.js";
+import { announce, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
-import { choice } from "../views/controls.js";
-import { MOST_COMPARED } from "../views/plot-view.js";
-import { JobSummary, UNFINISHED, titleOf } from "../views/progress.js";
+import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
 const MAX_PINNED = 100; // shown above the first page
@@ -23,11 +21,12 @@ const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "
 
 export class SweepList {
   rows = new Map(); // job id → row
-  selected = new Map(); // job id → job
+  selected = new Set(); // ids, in the order in which they were selected
   cursors = [null]; // of the pages up to the shown one
   jobs = []; // shown
 
-  constructor(root) {
+  constructor(root, address, signal) {
+    this.signal = signal;
     document.title = "Bouncing spring";
     const find = () => this.#find();
     const select = (name, title, options) => choice(title, options, "", find, { name });
@@ -37,7 +36,7 @@ export class SweepList {
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
     this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
-    this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected.keys()].join() }));
+    this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected].join() }));
     this.remove = button("Delete", () => this.#delete());
     this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
     this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
@@ -67,29 +66,23 @@ export class SweepList {
     this.refresh();
   }
 
-  close() {
-    this.closed = true;
-    clearTimeout(this.timer);
-  }
-
   async refresh() {
     clearTimeout(this.timer);
     const wanted = this.#wanted();
     const asked = JSON.stringify([wanted, this.cursors]);
-    const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`);
+    const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`, { signal: this.signal });
     try {
       const [pinned, others] = await Promise.all([
         page({ pinned: true, limit: MAX_PINNED }),
         page({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
-      if (this.closed || asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
+      if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
       this.#showJobs([...(this.cursors.length === 1 ? pinned.jobs : []), ...others.jobs]);
       this.#showRange(pinned, others);
       this.notice.hidden = !others.notice;
       setText(this.notice, others.notice ?? "");
       this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
-      if (this.closed) return;
       this.showError(error);
       if (error.status >= 500) this.#refreshAfter(IDLE_POLL_MS); // it may be temporary
     }
@@ -163,7 +156,7 @@ export class SweepList {
   #row() {
     let job;
     const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
-    const pin = h("button", { type: "button", className: "quiet pin", onclick: () => this.#pin(job) });
+    const pin = workButton("", () => this.#pin(job), (error) => this.showError(error), { className: "quiet pin" });
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
@@ -172,10 +165,8 @@ export class SweepList {
       parts.progress, time, parts.actions, parts.notice, error);
     const update = (current) => {
       job = current;
-      if (this.selected.has(job.id)) this.selected.set(job.id, job);
       parts.show(job);
       box.setAttribute("aria-label", `Select ${titleOf(job)}`);
-      box.checked = this.selected.has(job.id);
       pin.textContent = job.pinned ? "★" : "☆";
       pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
       pin.setAttribute("aria-pressed", String(job.pinned));
@@ -185,19 +176,20 @@ export class SweepList {
       error.hidden = !job.error;
       error.textContent = job.error ?? "";
     };
-    return { element, update };
+    return { element, update, box };
   }
 
   #select(jobs, on) {
-    for (const job of jobs) {
-      if (on) this.selected.set(job.id, job);
-      else this.selected.delete(job.id);
+    for (const { id } of jobs) {
+      if (on) this.selected.add(id);
+      else this.selected.delete(id);
     }
-    this.#showJobs(this.jobs);
+    this.#showSelection();
   }
 
   #showSelection() {
-    const selected = [...this.selected.values()];
+    for (const [id, { box }] of this.rows) box.checked = this.selected.has(id);
+    const selected = this.jobs.filter(({ id }) => this.selected.has(id));
     this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
     this.all.indeterminate = selected.length > 0 && !this.all.checked;
     setText(this.chosen, selected.length ? `${count(selected.length)} selected${selected.length > MOST_COMPARED ? `; at most ${MOST_COMPARED} can be compared` : ""}` : "");
@@ -208,18 +200,13 @@ export class SweepList {
 
   async #pin(job) {
     const action = job.pinned ? "unpin" : "pin";
-    try {
-      await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" });
-      announce(`${titleOf(job)} is ${action}ned.`);
-    } catch (error) {
-      this.showError(error);
-    }
-    this.refresh();
+    await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }).finally(() => this.refresh());
+    announce(`${titleOf(job)} is ${action}ned.`);
   }
 
   /** Delete the selected sweeps that are finished, after a confirmation that names them. */
   async #delete() {
-    const finished = [...this.selected.values()].filter((job) => !UNFINISHED.has(job.state));
+    const finished = this.jobs.filter((job) => this.selected.has(job.id) && !UNFINISHED.has(job.state));
     const running = this.selected.size - finished.length;
     const names = finished.slice(0, MAX_NAMED).map((job) => `“${titleOf(job)}”`).join(", ");
     const more = finished.length > MAX_NAMED ? ` and ${count(finished.length - MAX_NAMED)} more` : "";
@@ -229,7 +216,6 @@ export class SweepList {
     for (const job of finished) {
       try {
         await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
-        this.selected.delete(job.id);
       } catch (error) {
         if (error.status !== 404) failed.push(`${titleOf(job)}: ${error.message}`);
       }

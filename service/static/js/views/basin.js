@@ -65,16 +65,18 @@ export class Basin extends PlaneView {
       title: `Γ = ${number(gamma)}, Ω = ${number(omega)}, ξ = ${number(xi)}`,
       message: complete ? null : "This cell is not computed yet",
       layers: [(ctx, box) => this.#drawStarts(ctx, box)],
-      cursor: (ctx, box) => {
-        const start = startOf(this.selected()?.direction ?? "");
-        this.drawCursor(ctx, box, start?.kind === plane && [start.phase ?? start.velocity, start.height ?? start.elongation]);
-      },
+      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 
   #drawStarts(ctx, box) {
     const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor, box.theme.dark)))];
     this.drawCells(ctx, box, (cell) => colours[this.map[cell]]);
+  }
+
+  placeOf({ direction }) {
+    const start = startOf(direction);
+    return start?.kind === this.basin.attrs.plane && [start.phase ?? start.velocity, start.height ?? start.elongation];
   }
 
   cellOf({ column, row }) {

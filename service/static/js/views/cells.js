@@ -3,8 +3,8 @@
 import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { clamp, clampIndex, nearestIndex } from "../lib/physics.js";
-import { classQuery, modeColour } from "../plot/colours.js";
+import { clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
+import { classQuery, modeColour, theme } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { PlotView } from "./plot-view.js";
@@ -59,9 +59,20 @@ export class PlaneView extends PlotView {
     return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])]];
   }
 
-  /** Rings around the selected cell, at [x, y], and the current one. */
-  drawCursor(ctx, box, selected) {
-    if (selected) drawRing(ctx, box, ...selected, 9);
+  cellOf({ column, row }) {
+    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.ramp ?? this.directions[0] };
+  }
+
+  /** Where the selected cell, or start, is on this plane. */
+  placeOf({ gamma, omega, xi, direction }) {
+    return isClose(xi, this.xi) && direction === (this.ramp ?? direction) && [gamma, omega];
+  }
+
+  /** Rings around the selected cell and the current one. */
+  drawCursor(ctx, box) {
+    const selected = this.selected();
+    const place = selected && this.placeOf(selected);
+    if (place) drawRing(ctx, box, ...place, 9);
     if (this.current) drawRing(ctx, box, ...this.at(this.current), 6);
   }
 
@@ -120,8 +131,9 @@ export class ClassLegend {
     return [...this.hidden].map(classQuery).filter(Boolean).join() || null;
   }
 
-  show({ present, ofCell }, dark) {
+  show({ present, ofCell }) {
     const { hidden } = this;
+    const { dark } = theme();
     this.element.replaceChildren(...present.map(({ id, name, cells }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
     }, name), " ", h("small", {}, share(cells / ofCell.length, 2)))));

@@ -35,15 +35,17 @@ class ClosedForm {
     this.input = h("input", { type: "checkbox", onchange: () => setQuery({ [parameter]: this.input.checked ? 1 : null }) });
     this.note = h("span", { className: "note", role: "status" });
     const title = `${hasOwnCycles(view.job) ? "Of the sweep's own contact, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
-    this.element = h("span", { className: "closed-form" }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
+    this.element = h("span", { className: "closed-form", hidden: path() === null }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
     this.load = latest((signal) => this.#load(signal));
-    queryChanges.addEventListener("change", () => this.update(), { signal: view.closing.signal });
+    queryChanges.addEventListener("change", () => this.update(), { signal: view.signal });
   }
 
   /** Load what the address asks for, unless it is there. */
   update() {
     this.input.checked = currentQuery()[this.parameter] === "1";
-    const path = this.input.checked ? this.path() : null;
+    const found = this.path();
+    this.element.hidden = found === null;
+    const path = this.input.checked ? found : null;
     if (path === this.requested) return;
     this.requested = path;
     this.load();
@@ -61,7 +63,7 @@ class ClosedForm {
       Object.assign(this, { data: null, requested: null });
       this.note.textContent = isHandledElsewhere(error) ? "" : error.message;
     }
-    if (this.view.isLoaded && !this.view.closing.signal.aborted) this.view.draw();
+    if (this.view.isLoaded && !this.view.signal.aborted) this.view.draw();
   }
 }
 
@@ -69,7 +71,12 @@ const unprefixed = (part) => Object.fromEntries(Object.entries(part).map(([name,
 
 /** The address of the branches and events of a spring up to `gammaMax` on the contact `model`, of cycles up to `longest` plate periods, and what is drawn of them. */
 export const branchesPath = ({ omega, xi }, gammaMax, model, longest = 3) => `/v1/orbits?${query({ omega, xi, modes: Array.from({ length: longest }, (_, i) => `1-${i + 1}`).join(), gamma_max: gammaMax, points: POINTS, ...contactQuery(model) })}`;
-export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(unprefixed), events: partsOf(result, "event").map(unprefixed) });
+/** Branches are lists of cycles {gamma, flight_time, stable, violations, multipliers, bounces, periods}. */
+export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(unprefixed).map(cyclesOf), events: partsOf(result, "event").map(unprefixed) });
+
+const cyclesOf = ({ bounces, periods, multipliers, ...branch }) => Array.from(branch.gamma, (gamma, i) => ({
+  bounces, periods, gamma, ...Object.fromEntries(["flight_time", "stable", "violations"].map((name) => [name, branch[name][i]])), multipliers: multipliers.subarray(4 * i),
+}));
 
 /** The branches over a diagram along Γ. */
 export const branchesOver = (view) => new ClosedForm(view, "Branches", "branches",
@@ -103,25 +110,25 @@ export function drawBranches(ctx, box, { branches, events }) {
       polyline(ctx, box.theme.branch, stable ? 2 : 1.4, pixels, stable ? [] : DASH);
     }
   }
-  const lines = branches.flatMap(({ gamma, flight_time: times, violations }) => Array.from(gamma, (value, i) => [value, times[i]]).filter((_, i) => !violations[i]));
+  const lines = branches.flat().filter(({ violations }) => !violations).map(({ gamma, flight_time: time }) => [gamma, time]);
   drawEvents(ctx, box, events.map(({ gamma, flight_time: time, ...event }) => ({ ...event, at: [gamma, time] })), lines);
 }
 
 /** The parts of a branch on which cycles exist and are all stable, or all unstable; they begin and end at events. */
-function runsOf({ periods, gamma, flight_time: time, stable, violations }, events) {
+function runsOf(branch, events) {
   const runs = [];
   let run = null;
-  for (let i = 0; i < gamma.length; i++) {
-    const isSame = run && !violations[i] && run.stable === stable[i];
-    const between = isSame || i === 0 ? [] : events.filter((event) => event.periods === periods && event.violations === 0
-      && (event.flight_time - time[i - 1]) * (event.flight_time - time[i]) < 0);
+  for (const [i, cycle] of branch.entries()) {
+    const isSame = run && !cycle.violations && run.stable === cycle.stable;
+    const between = isSame || i === 0 ? [] : events.filter((event) => event.periods === cycle.periods && event.violations === 0
+      && (event.flight_time - branch[i - 1].flight_time) * (event.flight_time - cycle.flight_time) < 0);
     if (!isSame) {
       if (between.length) run?.points.push(between[0]);
       run = null;
     }
-    if (violations[i]) continue;
-    if (!run) runs.push((run = { stable: stable[i], points: between.slice(-1) }));
-    run.points.push({ gamma: gamma[i], flight_time: time[i] });
+    if (cycle.violations) continue;
+    if (!run) runs.push((run = { stable: cycle.stable, points: between.slice(-1) }));
+    run.points.push(cycle);
   }
   return runs;
 }
@@ -155,36 +162,25 @@ function drawEvent(ctx, box, [px, py], text, taken) {
 
 const overlaps = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 
-/** The cycle at most NEAR_PX from a position in axis values, {branch, point, distance}; null if there is none. */
+/** The cycle nearest to a position in axis values, nearer than NEAR_PX; null if there is none. */
 export function nearestCycle({ branches }, box, x, y) {
   const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
-  let nearest = { distance: NEAR_PX };
-  for (const branch of branches) {
-    branch.gamma.forEach((gamma, point) => {
-      if (branch.violations[point]) return;
-      const distance = Math.hypot(box.x.pixel(gamma) - px, box.y.pixel(branch.flight_time[point]) - py);
-      if (distance < nearest.distance) nearest = { branch, point, distance };
-    });
-  }
-  return nearest.branch ? nearest : null;
+  const away = ({ gamma, flight_time: time, violations }) => (violations ? Infinity : Math.hypot(box.x.pixel(gamma) - px, box.y.pixel(time) - py));
+  const near = branches.flat().map((cycle) => [away(cycle), cycle]).filter(([distance]) => distance < NEAR_PX);
+  return near.sort(([a], [b]) => a - b)[0]?.[1] ?? null;
 }
 
-/** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first: [{branch, point}, …]. */
+/** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first. */
 export function cyclesAt({ branches }, gamma) {
-  const found = branches.flatMap((branch) => Array.from(branch.gamma.keys()).filter((point) => point && !branch.violations[point] && (branch.gamma[point] - gamma) * (branch.gamma[point - 1] - gamma) <= 0).map((point) => ({ branch, point })));
-  return found.sort((a, b) => a.branch.flight_time[a.point] - b.branch.flight_time[b.point]);
+  const found = branches.flatMap((branch) => branch.filter((cycle, i) => i && !cycle.violations && (cycle.gamma - gamma) * (branch[i - 1].gamma - gamma) <= 0));
+  return found.sort((a, b) => a.flight_time - b.flight_time);
 }
 
 /** A ring around a cycle. */
-export function drawCycle(ctx, box, { branch, point }) {
-  circle(ctx, box.theme.cursor, 1.8, box.x.pixel(branch.gamma[point]), box.y.pixel(branch.flight_time[point]), 5.5);
-}
+export const drawCycle = (ctx, box, { gamma, flight_time: time }) => circle(ctx, box.theme.cursor, 1.8, box.x.pixel(gamma), box.y.pixel(time), 5.5);
 
 /** A cycle in words, with its multipliers. */
-export function describeCycle({ branch, point }) {
-  const at = Object.fromEntries(["gamma", "flight_time", "stable"].map((name) => [name, branch[name][point]]));
-  return `${SYMBOL.gamma} = ${number(at.gamma, 5)} · ${cycleText({ ...branch, ...at, multipliers: branch.multipliers.subarray(4 * point) })}`;
-}
+export const describeCycle = (cycle) => `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`;
 
 /** The legend of branches in a Plot. */
 export const branchLegend = () => [["stable", []], ["unstable", DASH]].map(([name, dash]) =>

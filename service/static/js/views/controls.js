@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 
-/** Sliders along `axes` of a view's grid. Axes of one value have none: the plot's title shows their value. */
+/** Sliders along `axes` of a view's grid but its own. Axes of one value have none: the plot's title shows their value. */
 export function sliders(view, axes) {
   if (view.isFollower) return false;
   const movable = axes.filter((axis) => view.valuesOf(axis).length > 1);
@@ -32,15 +32,13 @@ function slider(view, axis) {
     typed.value = number(value);
     typed.setCustomValidity("");
     input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
+    element.hidden = axis === view.along;
   };
+  const element = h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
   show();
-  queryChanges.addEventListener("change", show, { signal: view.closing.signal });
-  return h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
+  queryChanges.addEventListener("change", show, { signal: view.signal });
+  return element;
 }
-
-/** A choice among `options`, [[value, text], …], with a label. */
-export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
-  h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
 
 /** The number from `min` to `max` that the address has as `name`; `otherwise` where it has none. */
 export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {

@@ -15,30 +15,29 @@ import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 const STEP = 0.01; // of Γ, by an arrow key
 const HINT = "Cycles of one bounce. Point at a branch to read it, press to see the cycle move, drag or turn the wheel to zoom.";
 
-/** A view of branches {branches, events} at one Ω and ξ. Cells are {gamma}, and on a branch {gamma, branch, point}. */
+/** A view of branches {branches, events} at one Ω and ξ. Cells are {gamma}, and on a branch cycles. */
 export class CyclesView extends PlotView {
   name = "cycles";
 
   build(root, parts) {
-    this.events = new PagedTable("Folds, flips and grazes", () => this.#eventRows(), () => fileName(this.job, "events", "csv"), true);
-    super.build(root, { label: "Flight times of the cycles over Γ", tables: [this.events.element], ...parts });
+    const events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
+    super.build(root, { label: "Flight times of the cycles over Γ", tables: [events], ...parts });
   }
 
   read([result]) {
     this.branches = readBranches(result);
     [this.omega, this.xi, this.maxGamma] = [result.omega.data, result.xi.data, result.attrs.gamma_max];
-    this.events.update();
   }
 
-  #eventRows() {
-    const events = (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma);
-    const row = ({ kind, bounces, periods, gamma, flight_time: time }) => [eventName(kind), `(${bounces}, ${periods})`, number(gamma, 7), number(time, 6)];
-    return { titles: ["event", "cycle", "Γ", "φ (rad)"], length: events.length, row: (i) => row(events[i]) };
+  #events() {
+    const columns = [["event", ({ kind }) => eventName(kind)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
+      ["Γ", ({ gamma }) => number(gamma, 7)], ["φ (rad)", ({ flight_time: time }) => number(time, 6)]];
+    return [columns, (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */
   whole() {
-    const longest = Math.max(1, ...this.branches.branches.map(({ periods }) => periods));
+    const longest = Math.max(1, ...this.branches.branches.map(([{ periods }]) => periods));
     return { x0: 0, x1: this.maxGamma, y0: 0, y1: 2.2 * Math.PI * longest };
   }
 
@@ -51,47 +50,45 @@ export class CyclesView extends PlotView {
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
       cursor: (ctx, box) => {
-        if (this.current?.branch) drawCycle(ctx, box, this.current);
+        if (this.current?.periods) drawCycle(ctx, box, this.current);
         else if (this.current) verticalLine(ctx, box, box.x.pixel(this.current.gamma), box.theme.muted, 1, [2, 3]);
       },
     };
   }
 
   nearest(x, y) {
-    const cycle = this.plot.box && nearestCycle(this.branches, this.plot.box, x, y);
-    return cycle ? { ...cycle, gamma: cycle.branch.gamma[cycle.point] } : { gamma: Number(x.toPrecision(4)) };
+    return (this.plot.box && nearestCycle(this.branches, this.plot.box, x, y)) ?? { gamma: Number(x.toPrecision(4)) };
   }
 
   cellsShown() {
-    return this.branches.branches.flatMap((branch) => Array.from(branch.gamma, (gamma, point) => ({ gamma, branch, point }))).filter(({ gamma, branch, point }) => !branch.violations[point] && this.isVisible(gamma, branch.flight_time[point]));
+    return this.branches.branches.flat().filter(({ gamma, flight_time: time, violations }) => !violations && this.isVisible(gamma, time));
   }
 
   columnsOfTable() {
-    return [["Γ", ({ gamma }) => number(gamma)], ["cycle", ({ branch }) => `(${branch.bounces}, ${branch.periods})`],
-      ["φ (rad)", ({ branch, point }) => number(branch.flight_time[point])], ["stability", ({ branch, point }) => (branch.stable[point] ? "stable" : "unstable")]];
+    return [["Γ", ({ gamma }) => number(gamma)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
+      ["φ (rad)", ({ flight_time: time }) => number(time)], ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
   }
 
   /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
   step(current, right, up) {
-    const from = current?.gamma ?? this.place.gamma ?? this.maxGamma / 2;
+    const from = current?.sought ?? current?.gamma ?? this.place.gamma ?? this.maxGamma / 2;
     const gamma = clamp(from + STEP * right, STEP, this.maxGamma);
     const cycles = cyclesAt(this.branches, gamma);
-    const time = current?.branch?.flight_time[current.point] ?? 0;
-    const away = ({ branch, point }) => Math.abs(branch.flight_time[point] - time);
+    const away = ({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0));
     const at = cycles.indexOf(cycles.toSorted((a, b) => away(a) - away(b))[0]);
-    return { gamma, ...(current?.branch || up ? cycles[clamp(at + (current?.branch ? Math.sign(up) : 0), 0, cycles.length - 1)] : null) };
+    return { gamma, ...(current?.periods || up ? cycles[clamp(at + (current?.periods ? Math.sign(up) : 0), 0, cycles.length - 1)] : null), sought: gamma };
   }
 
-  at({ gamma, branch, point }) {
-    return [gamma, branch?.flight_time[point]];
+  at({ gamma, flight_time: time }) {
+    return [gamma, time];
   }
 
   describe(cell) {
-    return cell.branch ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`;
+    return cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`;
   }
 
-  cellOf({ branch, point }) {
-    return branch ? { ...this.place, gamma: branch.gamma[point], direction: startName("cycle", branch.periods, branch.flight_time[point]) } : null;
+  cellOf({ gamma, periods, flight_time: time }) {
+    return periods ? { ...this.place, gamma, direction: startName("cycle", periods, time) } : null;
   }
 }
 

@@ -1,27 +1,25 @@
 // Where a sweep comes from (times, versions, cost), its specification, the chunks that failed, the model that `auto`
-// selected, and access from elsewhere.
+// selected, its audit, and access from elsewhere.
 
-import { requestJson, shared } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { link } from "../lib/address.js";
+import { partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
+import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, wholeSweep } from "../lib/downloads.js";
-import { count, duration, number, plural, time } from "../lib/format.js";
+import { count, duration, number, plural, share, time } from "../lib/format.js";
 import { isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
-import { Audit } from "./audit.js";
 import { sharedPage } from "./measured.js";
 
 export class Details {
   constructor(root, { sources: [{ job }] }) {
     this.root = root;
     this.snippets = new Snippets("JSON");
-    this.audit = new Audit(job);
+    this.audit = auditOf(job); // stays as the details around it change
     this.update(job);
     // The details are shown without what the service runs on until it answers; another view reports that it does not.
     requestJson("/v1/software").then((software) => { this.software = software; this.update(this.job); }, () => {});
   }
-
-  close() {}
 
   update(job) {
     this.job = job;
@@ -33,7 +31,7 @@ export class Details {
       this.snippets.element,
       job.failures?.length > 0 && failures(job.failures),
       job.choice && selection(job.choice),
-      isSweep(job.spec) && job.state === "done" && !shared && this.audit.element,
+      isSweep(job.spec) && job.state === "done" && !shared && this.audit,
       !shared && [
         h("h2", {}, "Results"),
         h("p", {}, "As an xarray dataset, loaded as needed:"),
@@ -80,4 +78,40 @@ function selection({ model, reason, tolerance, table: rows }) {
     h("p", {}, `${reason} (tolerance ${number(tolerance)} rad).`),
     table("Comparison of the models", ["model", "µs per cell per plate period", "median (rad)", "95 % (rad)", "cells"],
       rows.map((row) => [row.model, cell(row.cost), cell(row.median), cell(row.percentile_95), cell(row.cells)])));
+}
+
+/** A button that has workers audit the job: how many of its cells a longer computation would change. */
+function auditOf(job) {
+  const [problem, found] = [problemLine(), h("div", {})];
+  const audit = async () => {
+    problem.show(null);
+    const result = await requestDataset(`/v1/jobs/${job.id}/audit`);
+    const { sentence } = result.attrs;
+    found.replaceChildren(h("p", {}, `${sentence[0].toUpperCase()}${sentence.slice(1)}.`), questions(result), changed(job, result));
+    announce(sentence);
+  };
+  return h("section", {},
+    h("h2", {}, "Audit"),
+    h("p", {}, "Random cells are computed again so that they can be trusted: how many of all cells would change, at most?"),
+    h("p", {}, workButton("Audit this sweep", audit, problem.show, { busy: "Auditing …" })), problem.element, found);
+}
+
+function questions(audit) {
+  const contacts = audit.against.data instanceof Array ? audit.against.data : [audit.against.data];
+  const asked = audit.question.data;
+  const rows = contacts.flatMap((against, k) => asked.map((question, i) => ({ against, question, at: k * asked.length + i })));
+  const cells = ({ at }) => [...["sampled", "changed", "undecided"].map((name) => String(audit[name].data[at])), ...["share", "low", "high"].map((name) => share(audit[name].data[at]))];
+  return table("Audit by question", ["question", "drawn", "changed", "undecided", "share", "at least", "at most"],
+    rows.filter(({ at }) => audit.sampled.data[at] > 0).map((row) => [contacts.length > 1 ? `${row.question} (${row.against})` : row.question, ...cells(row)]));
+}
+
+function changed(job, audit) {
+  const cells = partsOf(audit, "cell");
+  if (!cells.length) return h("p", {}, "No cell looked at has changed.");
+  return h("details", {},
+    h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
+    h("ul", {}, cells.map((cell) => h("li", {},
+      h("a", { href: link(["job", job.id, "diagram"], { cell: [cell.cell_gamma, cell.cell_omega, cell.cell_xi, cell.cell_direction].join(",") }) },
+        `Γ = ${number(cell.cell_gamma)}, Ω = ${number(cell.cell_omega)}, ξ = ${number(cell.cell_xi)}`),
+      `: ${cell.cell_stored}, by the reference ${cell.cell_reference}${cell.cell_undecided ? " (undecided)" : ""}`))));
 }

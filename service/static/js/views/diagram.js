@@ -2,17 +2,17 @@
 
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { choice, h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
 import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
-import { circle, disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
-import { drawFlights, flightsIn } from "../plot/flights.js";
+import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
+import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
 import { cellBorders, cellExtent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
-import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
+import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 import { titleOf } from "./progress.js";
@@ -23,7 +23,7 @@ const MAX_LISTED = 6; // flights listed one by one
 const STRIP = 8; // px, of the modes of a line
 const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
-/** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles, {branch, point}. */
+/** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles. */
 export class Diagram extends PlotView {
   lines = []; // one per source and shown direction
 
@@ -33,17 +33,22 @@ export class Diagram extends PlotView {
     this.closedForm = !this.isCompared && hasCycles(this.job) && branchesOver(this);
     this.measured = this.isCompared || this.isBeside ? null : new MeasuredPoints(this, "flight_time");
     this.caption = h("input", { type: "checkbox", checked: true });
-    this.controls = h("div", {});
-    this.options = h("div", {});
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
-    this.#buildControls();
-    this.build(root, { controls: this.controls, shown: this.isCompared ? [this.options] : [this.options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    const setAxis = (along) => setQuery({ along, ...windowQuery(null) });
+    const controls = h("div", { className: "controls" },
+      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), this.along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
+      sliders(this, AXES));
+    const options = h("div", { className: "controls" },
+      this.directions.length > 1 && !this.isCompared && this.#directionBoxes(),
+      this.closedForm && this.closedForm.element,
+      !this.isCompared && !this.isFollower && minFlightInput(this.job));
+    this.build(root, { controls, shown: this.isCompared ? [options] : [options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
     if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();
   }
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #buildExponents() {
-    this.exponents = new Plot(this.plot.element.parentElement, { takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
+    this.exponents = new Plot(this.plot.element.parentElement, { signal: this.signal, takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
     this.plot.element.addEventListener("drawn", () => this.exponents.draw());
   }
 
@@ -62,11 +67,6 @@ export class Diagram extends PlotView {
         (ctx, box) => points.forEach((line, i) => line.forEach(([value, exponent]) => disc(ctx, this.#colour(this.lines[i], box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4))),
       ],
     };
-  }
-
-  close() {
-    super.close();
-    this.exponents?.close();
   }
 
   get name() {
@@ -90,21 +90,6 @@ export class Diagram extends PlotView {
     if (!this.isBeside || !window) return window;
     const { y0, y1 } = this.whole();
     return { ...window, y0, y1 };
-  }
-
-  #buildControls() {
-    const { along } = this;
-    const directions = this.directions.length > 1 && !this.isCompared && this.#directionBoxes();
-    const setAxis = (axis) => {
-      setQuery({ along: axis, ...windowQuery(null) });
-      this.#buildControls();
-    };
-    this.controls.replaceChildren(h("div", { className: "controls" },
-      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
-      sliders(this, AXES.filter((axis) => axis !== along))));
-    this.options.replaceChildren(h("div", { className: "controls" }, directions,
-      this.closedForm && along === "gamma" && this.closedForm.element,
-      !this.isCompared && !this.isFollower && minFlightInput(this.job)));
   }
 
   #directionBoxes() {
@@ -152,11 +137,6 @@ export class Diagram extends PlotView {
     this.classes = modeClasses({ label: joined("label"), bounces: joined("bounces"), periods: joined("periods") });
     this.lines.reduce((first, line) => first + (line.classes = this.classes.ofCell.subarray(first, first + line.values.length)).length, 0);
     this.closedForm?.update?.();
-  }
-
-  /** The modes of the strips. */
-  showLegend() {
-    if (!this.isCompared) this.legend.show(this.classes, theme().dark);
   }
 
   get cycles() {
@@ -224,8 +204,8 @@ export class Diagram extends PlotView {
   #drawCursor(ctx, box) {
     const cell = this.#selectedOnLines();
     if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
-    if (this.current?.branch) drawCycle(ctx, box, this.current);
-    else if (this.current) this.#atCurrent().forEach((each) => drawCurrent(ctx, box, each));
+    if (this.current?.periods) drawCycle(ctx, box, this.current);
+    else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(line, cell).slice(0, MAX_CIRCLES)));
   }
 
   /** The colour of a direction; of several sweeps, each has a colour of its own. */
@@ -275,12 +255,12 @@ export class Diagram extends PlotView {
     return this.#cell(up ? (this.lines.find((line) => line !== current.line) ?? current.line) : current.line, current.cell + right);
   }
 
-  at({ line, cell, branch, point }) {
-    return branch ? [branch.gamma[point], branch.flight_time[point]] : [line.values[cell], flightsIn(line, cell)[0]];
+  at({ line, cell, gamma, flight_time: time }) {
+    return line ? [line.values[cell], flightsIn(line, cell)[0]] : [gamma, time];
   }
 
-  cellOf({ line, cell, branch, point }) {
-    if (branch) return { ...this.place, gamma: branch.gamma[point], direction: startName("cycle", branch.periods, branch.flight_time[point]) };
+  cellOf({ line, cell, gamma, periods, flight_time: time }) {
+    if (!line) return { ...this.place, gamma, direction: startName("cycle", periods, time) };
     return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
   }
 
@@ -295,7 +275,7 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.branch) return `${describeCycle(cell)} · press to see it move`;
+    if (cell.periods) return `${describeCycle(cell)} · press to see it move`;
     if (!this.isCompared) return super.describe(cell);
     return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())), `${super.describe(each)} `));
   }
@@ -348,13 +328,6 @@ function drawSelected(ctx, box, value, colour) {
   const [x, bottom] = [box.x.pixel(value), box.top + box.height];
   verticalLine(ctx, box, x, colour, 1, [2, 3]);
   polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
-}
-
-/** A line through a cell and a circle around each of its flights. */
-function drawCurrent(ctx, box, { line, cell }) {
-  const x = box.x.pixel(line.values[cell]);
-  verticalLine(ctx, box, x, box.theme.cursor);
-  for (const time of distinctFlights(line, cell).slice(0, MAX_CIRCLES)) circle(ctx, box.theme.cursor, 1.5, x, box.y.pixel(time), 4.5);
 }
 
 /** The distinct flight times of one cell, shortest first. */

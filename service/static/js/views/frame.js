@@ -14,5 +14,3 @@ export function buildFrame(root, { bar, line, tabs = false, problem = false }) {
     h("div", { className: "panels" }, parts.panel, parts.second), parts.aside);
   return parts;
 }
-
-export const clearBar = () => document.getElementById("bar").replaceChildren();

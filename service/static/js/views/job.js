@@ -2,14 +2,14 @@
 
 import { addressValue, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { requestJson, shared } from "../lib/api.js";
-import { announce, h, problemLine } from "../lib/dom.js";
+import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
 import { Orbits } from "./cycles.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
-import { buildFrame, clearBar } from "./frame.js";
+import { buildFrame } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
@@ -29,10 +29,8 @@ const POLL_MS = 1000;
 const ERROR_POLL_MS = 3000;
 
 export class JobView {
-  closing = new AbortController();
-
-  constructor(root, { path }) {
-    Object.assign(this, { root, id: path[1] });
+  constructor(root, { path }, signal) {
+    Object.assign(this, { root, signal, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.summary = new JobSummary(this.heading, {
       change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.#failed(error),
@@ -40,14 +38,14 @@ export class JobView {
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
-    this.rename = h("button", { type: "button", className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true, onclick: () => this.#rename() }, "✎");
+    this.rename = workButton("✎", () => this.#rename(), (error) => this.#failed(error), { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
     this.duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     Object.assign(this, buildFrame(root, {
       bar: [this.heading, this.summary.progress, this.duplicate, this.rename, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
       tabs: this.tabs, problem: this.problem.element,
     }));
-    this.trajectory = new TrajectoryPanel(this.aside, () => this.#closeTrajectory());
-    addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal: this.closing.signal });
+    this.trajectory = new TrajectoryPanel(this.aside, signal, () => this.#closeTrajectory());
+    addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal });
     this.#poll(true);
   }
 
@@ -63,25 +61,9 @@ export class JobView {
     this.#poll(redraw);
   }
 
-  close() {
-    clearTimeout(this.timer);
-    this.closed = true;
-    this.closing.abort();
-    clearBar();
-    this.view?.close();
-    this.beside?.close();
-    this.trajectory.hide();
-  }
-
   async #poll(redraw) {
-    let job;
-    try {
-      job = await requestJson(`/v1/jobs/${this.id}`);
-    } catch (error) {
-      if (!this.closed) this.#pollFailed(error, redraw);
-      return;
-    }
-    if (this.closed) return;
+    const job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal }).catch((error) => this.#pollFailed(error, redraw));
+    if (!job) return;
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
     if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
@@ -114,8 +96,10 @@ export class JobView {
     this.problem.show(error);
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
-    this.close();
-    this.job = null;
+    this.leaving?.abort();
+    this.trajectory.hide();
+    [this.job, this.cell] = [null, null];
+    document.getElementById("bar").replaceChildren();
     document.title = "No such sweep · Bouncing spring";
     this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
   }
@@ -148,12 +132,7 @@ export class JobView {
 
   async #rename() {
     const name = prompt("Name of the sweep", this.job.name);
-    if (name === null) return;
-    try {
-      this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
-    } catch (error) {
-      this.#failed(error);
-    }
+    if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
   }
 
   #showTab() {
@@ -166,18 +145,18 @@ export class JobView {
         href: target(tab, query), "aria-current": tab === current ? "page" : undefined,
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
-    this.view?.close();
+    this.leaving?.abort();
+    this.leaving = new AbortController(); // of this tab
     this.controls.replaceChildren();
     this.problem.show(this.#failure());
     const [, View] = tabs[current];
-    const common = { sources: [sourceOf(this.job)], onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
+    const common = { sources: [sourceOf(this.job)], signal: AbortSignal.any([this.signal, this.leaving.signal]), onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
     this.#showBeside(current === "modes" && WIDE.matches, common);
     this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
   }
 
   /** Beside a map on a wide screen, the diagram at the Ω under the pointer. */
   #showBeside(isShown, common) {
-    this.beside?.close();
     this.second.hidden = !isShown;
     this.beside = isShown ? new Diagram(this.second, { ...common, isBeside: true, isFollower: true }) : null;
   }

@@ -2,13 +2,13 @@
 
 import { currentQuery, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { choice, h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, cellColumns, certifies, isClose, nearestIndex, threshold } from "../lib/physics.js";
-import { modeClasses, modeColour, theme } from "../plot/colours.js";
+import { HYSTERESIS, OUTCOME, cellColumns, certifies, nearestIndex, threshold } from "../lib/physics.js";
+import { modeClasses, modeColour } from "../plot/colours.js";
 import { polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
-import { choice, minFlightInput, minFlightOf, sliders } from "./controls.js";
+import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { UNFINISHED, titleOf } from "./progress.js";
 
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom. Modes are (bounces, plate periods).";
@@ -84,7 +84,7 @@ export class Modes extends PlaneView {
 
   /** The colours of the modes, and which cells are left out. */
   showLegend() {
-    this.legend.show(this.classes, theme().dark);
+    super.showLegend();
     const { every, computed_share: computed } = this.attrs;
     const partly = !this.isPreview ? "" : "Cells that are not computed yet have the colour of the nearest one at their Γ. ";
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
@@ -119,10 +119,7 @@ export class Modes extends PlaneView {
       ],
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => drawThresholdCurve(ctx, box, this.xi)],
-      cursor: (ctx, box) => {
-        const cell = this.selected();
-        this.drawCursor(ctx, box, cell && cell.direction === this.ramp && isClose(cell.xi, this.xi) && [cell.gamma, cell.omega]);
-      },
+      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 
@@ -140,10 +137,6 @@ export class Modes extends PlaneView {
       if (line >= 0) return hatch[line];
       return mark !== null && computed[cell] ? mark : colours[this.painted[cell]];
     });
-  }
-
-  cellOf({ column, row }) {
-    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.ramp };
   }
 
   isHidden(cell) {

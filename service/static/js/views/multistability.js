@@ -7,13 +7,22 @@ import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
 import { TWO_PI, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, branchColour, theme } from "../plot/colours.js";
-import { circle, disc, rgba32, verticalLine } from "../plot/drawing.js";
+import { rgba32, verticalLine } from "../plot/drawing.js";
+import { drawCell, markCell } from "../plot/flights.js";
 import { cellExtent } from "../plot/scale.js";
 import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
 
 const MAX_LISTED = 6; // flights
+/** The columns of a table of events. */
+const EVENTS = [
+  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${number(low, 4)}–${number(high, 4)}`],
+  ["event", ({ event_kind: kind }) => kind],
+  ["attractor", ({ event_attractor: id }) => String(id)],
+  ["mode", ({ event_kind: kind, event_below: below, event_above: above }) => inSymbols(kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below)],
+  ["leads to", ({ event_leads_to: other }) => (other ? String(other) : "")],
+];
 
 /** What both views share: the plane at one ξ, the legend of its attractors, and an attractor seen to move. */
 class AttractorView extends PlaneView {
@@ -65,24 +74,11 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => this.#eventRows(), () => fileName(this.job, "events", "csv"), true);
+    const events = new PagedTable("Births, ends, changes of mode", () => [EVENTS, this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
-      tables: [events.element], axes: ["omega", "xi"], label: "Diagram of all attractors",
+      tables: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
-    this.events = events;
-  }
-
-  showLegend() {
-    super.showLegend();
-    this.events.update();
-  }
-
-  #eventRows() {
-    const events = this.isLoaded ? partsOf(this.plane, "event") : [];
-    const row = ({ event_kind: kind, event_attractor: attractor, event_gamma_below: low, event_gamma_above: high, event_below: below, event_above: above, event_leads_to: other }) =>
-      [`${number(low, 4)}–${number(high, 4)}`, kind, String(attractor), inSymbols(kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below), other ? String(other) : ""];
-    return { titles: ["Γ", "event", "attractor", "mode", "leads to"], length: events.length, row: (i) => row(events[i]) };
   }
 
   whole() {
@@ -107,24 +103,18 @@ export class AttractorDiagram extends AttractorView {
     }
   }
 
-  /** The attractors with most cells are drawn last. One dot stands for all flights within half a pixel; rest is a dot at 0. */
+  /** The attractors with most cells are drawn last; rest is a dot at 0. */
   #drawFlights(ctx, box) {
     const inView = this.columns.filter((value) => value >= box.x.low && value <= box.x.high).length;
     const radius = Math.min(2.6, Math.max(1.1, box.width / 3 / Math.max(inView, 1)));
-    const places = this.cells.flatMap((cell, i) => cell.map((place) => ({ ...place, x: box.x.pixel(this.columns[i]) })));
-    for (const { id, x, times } of places.sort((a, b) => b.id - a.id)) {
-      const drawn = new Set(times.map((time) => Math.round(2 * box.y.pixel(time)) / 2));
-      for (const y of drawn) disc(ctx, branchColour(id, box.theme.dark), x, y, radius);
-    }
+    const places = this.cells.flatMap((cell, i) => cell.map((place) => ({ ...place, gamma: this.columns[i] })));
+    for (const { id, gamma, times } of places.sort((a, b) => b.id - a.id)) drawCell(ctx, box, gamma, times, branchColour(id, box.theme.dark), radius);
   }
 
   #drawCurrent(ctx, box) {
     const at = this.current ?? this.#selectedCell();
     const place = at && this.placesOf(at)?.[at.k];
-    if (!place) return;
-    const x = box.x.pixel(this.columns[at.column]);
-    verticalLine(ctx, box, x, box.theme.cursor);
-    for (const time of place.times) circle(ctx, box.theme.cursor, 1.5, x, box.y.pixel(time), 4.5);
+    if (place) markCell(ctx, box, this.columns[at.column], place.times);
   }
 
   /** The attractor that is seen to move, if it is on this line. */
@@ -191,10 +181,7 @@ export class AttractorMap extends AttractorView {
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
       layers: [(ctx, box) => this.#drawAttractors(ctx, box, isHatched)],
-      cursor: (ctx, box) => {
-        const cell = this.selected();
-        this.drawCursor(ctx, box, cell && isClose(cell.xi, this.xi) && [cell.gamma, cell.omega]);
-      },
+      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 
@@ -207,8 +194,8 @@ export class AttractorMap extends AttractorView {
     this.drawCells(ctx, box, (cell, x, y) => (isHatched && lines[cell] && hatchAt(x, y) >= 0 ? lines[cell] : colours[cell]));
   }
 
-  cellOf({ column, row }) {
-    return this.placesOf({ column, row }).length ? { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: startName("attractor", 1) } : null;
+  cellOf(cell) {
+    return this.placesOf(cell).length ? { ...super.cellOf(cell), direction: startName("attractor", 1) } : null;
   }
 
   columnsOfTable() {

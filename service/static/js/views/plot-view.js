@@ -8,7 +8,7 @@ import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue,
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
-import { listenToInput, panned, scaled } from "../plot/input.js";
+import { listenToInput, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
 import { sharedPage } from "./measured.js";
 
@@ -21,8 +21,6 @@ const SYMBOLS = new Set(Object.values(SYMBOL));
 /** The axis of flight times in a plot, with whole plate periods marked. */
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
 const FORMATS = [["SVG", "svg"], ["PDF", "pdf"], ["CSV", "csv"]];
-
-export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
 
 /** What a view shows of a job; `number` is its place among compared ones. */
 export const sourceOf = (job, number = 1) => ({
@@ -56,21 +54,20 @@ async function requestFitting(path, options) {
  *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell, whole) => text], …]; `whole`: not shortened
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
- *   showLegend()     optional; called when the data or the colours have changed
+ *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(): called when the data or the colours have changed
  */
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
   isThinned = false; // whether all of it is more than the service sends
-  closing = new AbortController();
 
   /**
-   * `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
+   * `signal` aborts when the view is left. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
    * `onMissing()`: the service has no such job. Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
    * is told where the pointer is, `onLoad(view)` that there are data, `extent()` is the window of all data, and titles begin with `prefix`.
    */
-  constructor({ sources, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
+  constructor({ sources, signal, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
+    Object.assign(this, { sources, signal, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
   }
 
   get job() {
@@ -113,22 +110,23 @@ export class PlotView {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with. */
+  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with, of which PagedTables are kept up to date. */
   build(root, { controls, label, hint, shown = [], tables = [] }) {
+    this.tables = tables.filter((table) => table instanceof PagedTable);
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
     const figure = h("figure", {});
-    const zoom = (window, isStep = true) => this.isBeside || setQuery(windowQuery(window), isStep);
+    const zoom = (window, isStep = true) => (window || this.window) && !this.isBeside && setQuery(windowQuery(window), isStep);
     this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
     const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
     this.logButtons = ["x", "y"].map((axis) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(axis) }, `log ${axis}`));
-    this.table = new PagedTable("Table of what is shown", () => this.#rows(), () => fileName(this.job, `${this.name}-table`, "csv"));
+    this.table = new PagedTable("Table of what is shown", () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]), () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
     const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
-    const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables, this.table.element]; // the legend grows while cells are computed
+    const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables.map((table) => table.element ?? table), this.table.element]; // the legend grows while cells are computed
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
-    this.plot = new Plot(figure, { label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
+    this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
       leave: () => this.#point(null),
@@ -137,25 +135,17 @@ export class PlotView {
       step: (right, up) => this.#step(right, up),
       zoom,
       isZoomed: () => Boolean(this.window),
-      scale: (factors, point = this.current && this.at(this.current)) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, point), this.#isNewGesture()),
-      pan: (from, to) => this.window && zoom(panned(this.plot, this.visible(), this.#positive(this.extent()), from, to), this.#isNewGesture()),
+      scale: (factors, from = this.current && this.at(this.current), to = from) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), this.#isNewGesture()),
     });
     this.load = latest((signal) => this.#load(signal));
-    const { signal } = this.closing;
-    queryChanges.addEventListener("change", () => this.#follow(), { signal });
-    onThemeChange(() => this.isLoaded && this.showLegend(), signal);
+    queryChanges.addEventListener("change", () => this.#follow(), { signal: this.signal });
+    onThemeChange(() => this.isLoaded && this.showLegend(), this.signal);
     this.load();
   }
 
-  #announce = debounced(ANNOUNCED_MS, () => announce(this.readout.textContent));
+  #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
 
-  /** The table of the cells that are shown. */
-  #rows() {
-    const [columns, cells] = this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []];
-    return { titles: columns.map(([title]) => title), length: cells.length, row: (i, whole) => columns.map(([, text]) => text(cells[i], whole)) };
-  }
-
-  #updateTable = debounced(ANNOUNCED_MS, () => this.table.update());
+  #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
 
   /** Whether values are in the window on display. */
   isVisible(x, y = null) {
@@ -193,14 +183,6 @@ export class PlotView {
     return this.gesture - before > GESTURE_MS;
   }
 
-  close() {
-    this.closing.abort();
-    this.#announce.cancel();
-    this.#updateTable.cancel();
-    clearTimeout(this.timer);
-    this.plot.close();
-  }
-
   /** Of a running job each second: what is loading is shown first, however long it takes. */
   update(job) {
     this.source.job = job;
@@ -208,7 +190,9 @@ export class PlotView {
     if (!this.isOutdated) this.load();
   }
 
-  showLegend() {}
+  showLegend() {
+    this.legend?.show(this.classes);
+  }
 
   describe(cell) {
     const known = this.columnsOfTable().map(([title, text]) => [title, text(cell)]).filter(([, text]) => text && text !== "–");
@@ -232,12 +216,13 @@ export class PlotView {
 
   async #load(signal) {
     clearTimeout(this.timer);
+    if (this.signal.aborted) return;
     this.plot.element.setAttribute("aria-busy", "true");
     const paths = this.paths();
     this.requested = paths.join();
     try {
       const results = await Promise.all(paths.map((path) => requestFitting(path, { signal })));
-      if (this.closing.signal.aborted) return;
+      if (this.signal.aborted) return;
       const position = this.current && this.at(this.current);
       this.read(results);
       this.results = results;
@@ -253,7 +238,7 @@ export class PlotView {
       this.#showError(error);
     } finally {
       this.plot.element.removeAttribute("aria-busy");
-      if (this.isOutdated && !this.closing.signal.aborted) this.load();
+      if (this.isOutdated && !this.signal.aborted) this.load();
       this.isOutdated = false;
     }
   }
@@ -262,12 +247,13 @@ export class PlotView {
     this.measured?.update();
     this.plot.draw();
     this.plot.element.dataset.shown = parametersOf(this.results[0]);
+    this.tables.forEach((table) => table.update());
     this.#updateTable();
   }
 
   /** An error takes the place of the plot unless earlier data are still shown. */
   #showError(error) {
-    if (this.closing.signal.aborted || (error && isHandledElsewhere(error))) return;
+    if (this.signal.aborted || (error && isHandledElsewhere(error))) return;
     this.problem.show(error);
     this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.isLoaded;
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);

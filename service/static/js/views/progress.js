@@ -2,7 +2,7 @@
 
 import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { h, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
 
@@ -10,6 +10,7 @@ export const UNFINISHED = new Set(["queued", "running"]);
 /** Whether a job, or the budget that it is a level of, goes on. */
 export const isGoing = ({ state, budget }) => UNFINISHED.has(state) || (budget ? !budget.over : false);
 export const RESUMABLE = new Set(["failed", "cancelled"]);
+export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
 const MAX_LISTED = 4; // values of an axis
 
 /** A sweep's name, or the beginning of its id. */
@@ -110,22 +111,15 @@ function showActions(root, job, on) {
   if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);
   root.dataset.actions = shown;
-  root.replaceChildren(...actions.map((action) => h("button", {
-    type: "button", className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`, onclick: ({ currentTarget }) => run(action, job, currentTarget, on),
-  }, ACTION_TITLES[action])));
+  root.replaceChildren(...actions.map((action) => workButton(ACTION_TITLES[action], () => run(action, job, on), on.error, {
+    className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`,
+  })));
   if (hadFocus) root.querySelector("button")?.focus();
 }
 
-async function run(action, job, button, on) {
-  if (action === "delete" && !confirm(`Delete “${titleOf(job)}” and its results?`)) return;
-  button.disabled = true;
-  try {
-    const changed = await requestJson(`/v1/jobs/${job.id}${action === "delete" ? "" : `/${action}`}`, { method: action === "delete" ? "DELETE" : "POST" });
-    if (action === "delete") on.delete();
-    else on.change(changed);
-  } catch (error) {
-    on.error(error);
-  } finally {
-    button.disabled = false;
-  }
+async function run(action, job, on) {
+  if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
+  if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
+  await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
+  on.delete();
 }

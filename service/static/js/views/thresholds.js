@@ -1,6 +1,6 @@
 // Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
 
-import { query } from "../lib/api.js";
+import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
@@ -17,10 +17,8 @@ const HINT = "Point at a frequency to read it, press to show a trajectory, drag 
 const BESIDE = 4; // px from the frequency, of two directions: both may lie beyond the same edge
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
 const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
-/** What is read of each frequency; numbers that are not there are null. */
-const COLUMNS = ["omega", "analytic", "up", "up_status", "down", "down_status", "predicted_down", "cause", "difference"];
 
-/** Cells are {index, y}: an index into Ω and, from the pointer, a Γ. */
+/** Cells are {row, y}: what the service found at an Ω and, from the pointer, a Γ. Numbers that are not there are NaN. */
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
@@ -35,8 +33,7 @@ export class Thresholds extends PlotView {
 
   /** Without what the closed form predicts, which takes longer, until the thresholds at this ξ are shown. */
   paths() {
-    const { xi, complete } = this.thresholds ?? {};
-    const isShown = isClose(xi, this.place.xi) && (complete || RESUMABLE.has(this.job.state));
+    const isShown = this.isLoaded && isClose(this.xi, this.place.xi) && (this.complete || RESUMABLE.has(this.job.state));
     return [this.#path({ predict: this.closedForm && isShown ? null : "none" })];
   }
 
@@ -50,19 +47,18 @@ export class Thresholds extends PlotView {
   }
 
   read([result]) {
-    const columns = COLUMNS.map((name) => [name, Array.from(result[name].data, (value) => (Number.isNaN(value) ? null : value))]);
-    this.thresholds = { xi: result.xi.data, complete: result.attrs.complete, ...Object.fromEntries(columns) };
-    const { up, down, up_status: upStatus, down_status: downStatus } = this.thresholds;
+    this.rows = partsOf(result, "omega");
+    [this.omega, this.xi, this.complete] = [result.omega.data, result.xi.data, result.attrs.complete];
     const isRest = this.directions[0] === "rest";
     this.series = [
-      { name: isRest ? "from rest" : "ramp up", direction: isRest ? "rest" : "up", values: up, statuses: upStatus },
-      { name: "ramp down", direction: "down", values: down, statuses: downStatus },
-    ].filter(({ statuses }) => statuses.some((status) => status !== "not ramped"));
+      { name: isRest ? "from rest" : "ramp up", direction: isRest ? "rest" : "up", way: "up" },
+      { name: "ramp down", direction: "down", way: "down" },
+    ].filter(({ way }) => this.rows.some((row) => row[`${way}_status`] !== "not ramped"));
     const { gamma } = this.grid;
-    const all = new Set([...upStatus, ...downStatus]);
+    const all = new Set(this.rows.flatMap((row) => [row.up_status, row.down_status]));
     this.isUndecided = UNDECIDED.some((status) => all.has(status));
     this.edges = [...(all.has("below the grid") ? [gamma[0]] : []), ...(all.has("above the grid") ? [gamma.at(-1)] : [])];
-    this.found = [...up, ...down].filter((value) => value !== null);
+    this.found = this.rows.flatMap(({ up, down }) => [up, down]).filter(Number.isFinite);
     this.closedForm?.update?.();
   }
 
@@ -71,38 +67,35 @@ export class Thresholds extends PlotView {
   }
 
   whole() {
-    const { omega, analytic } = this.thresholds;
-    const [x0, x1] = cellExtent(omega);
-    const drawn = [...this.found, ...analytic.map((value) => Math.min(value, this.grid.gamma.at(-1))), ...this.edges, this.measured.highest(x0, x1)];
+    const [x0, x1] = cellExtent(this.omega);
+    const drawn = [...this.found, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1))), ...this.edges, this.measured.highest(x0, x1)];
     return { x0, x1, y0: 0, y1: 1.12 * Math.max(...drawn) || 1 };
   }
 
   content() {
-    const { omega, xi, complete } = this.thresholds;
     const isEmpty = !this.found.length && !this.edges.length;
     return {
       ...this.scales(this.axisOf("omega"), { label: "threshold Γ" }),
-      title: `ξ = ${number(xi)}`,
+      title: `ξ = ${number(this.xi)}`,
       legend: this.#legend(),
-      message: isEmpty ? (complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
+      message: isEmpty ? (this.complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
       layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
-      cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(omega[this.current.index]), box.theme.cursor),
+      cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(this.current.row.omega), box.theme.cursor),
     };
   }
 
   #draw(ctx, box) {
-    const { omega, xi } = this.thresholds;
     const n = Math.round(box.width / 2);
     const curve = Array.from({ length: n + 1 }, (_, i) => {
       const x = box.left + (i * box.width) / n;
-      return [x, box.y.pixel(threshold(box.x.value(x), xi))];
+      return [x, box.y.pixel(threshold(box.x.value(x), this.xi))];
     });
     polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
-    for (const { direction, values, statuses } of this.series) {
+    for (const { direction, way } of this.series) {
       const colour = box.theme[direction];
-      drawSeries(ctx, box, omega, values, colour, direction);
-      statuses.forEach((status, i) => {
-        const x = box.x.pixel(omega[i]) + (this.series.length < 2 ? 0 : direction === "down" ? BESIDE : -BESIDE);
+      drawSeries(ctx, box, this.rows, way, colour, direction);
+      this.rows.forEach(({ omega, [`${way}_status`]: status }) => {
+        const x = box.x.pixel(omega) + (this.series.length < 2 ? 0 : direction === "down" ? BESIDE : -BESIDE);
         if (UNDECIDED.includes(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
         else if (BEYOND[status]) drawTriangle(ctx, x, box.y.pixel(BEYOND[status] > 0 ? this.grid.gamma[0] : this.grid.gamma.at(-1)), BEYOND[status], colour);
       });
@@ -125,49 +118,48 @@ export class Thresholds extends PlotView {
   }
 
   computed() {
-    return (x) => this.series.map(({ values }) => values[nearestIndex(this.thresholds.omega, x)]).filter((value) => value !== null);
+    return (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
   }
 
   nearest(x, y) {
-    return { index: nearestIndex(this.thresholds.omega, x), y };
+    return { row: this.rows[nearestIndex(this.omega, x)], y };
   }
 
   step(current, right) {
-    const n = this.thresholds.omega.length;
-    return { index: current ? clampIndex(current.index + right, n) : n >> 1 };
+    const n = this.rows.length;
+    return { row: this.rows[current ? clampIndex(this.rows.indexOf(current.row) + right, n) : n >> 1] };
   }
 
-  at({ index, y }) {
-    return [this.thresholds.omega[index], y];
+  at({ row, y }) {
+    return [row.omega, y];
   }
 
   cellsShown() {
-    return this.thresholds.omega.map((_, index) => ({ index })).filter(({ index }) => this.isVisible(this.thresholds.omega[index]));
+    return this.rows.filter(({ omega }) => this.isVisible(omega)).map((row) => ({ row }));
   }
 
   columnsOfTable() {
-    const { omega, analytic, predicted_down: down, cause, difference } = this.thresholds;
-    return [["Ω", ({ index }) => number(omega[index])], ["Eq. 25", ({ index }) => number(analytic[index], 5)],
-      ...this.series.map(({ name, values, statuses }) => [name, ({ index }) => (values[index] === null ? statuses[index] : number(values[index], 5))]),
+    const value = (title, name, digits, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? number(row[name], digits) : otherwise(row))];
+    const text = (name) => [name, ({ row }) => inSymbols(row[name] ?? "")];
+    return [value("Ω", "omega"), value("Eq. 25", "analytic", 5),
+      ...this.series.map(({ name, way }) => value(name, way, 5, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
-      ...(this.closedForm ? [["closed form", ({ index }) => (down[index] === null ? "" : number(down[index], 6))],
-        ["cause", ({ index }) => inSymbols(cause[index] ?? "")], ["difference", ({ index }) => inSymbols(difference[index] ?? "")]] : [])];
+      ...(this.closedForm ? [value("closed form", "predicted_down", 6), text("cause"), text("difference")] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
-  cellOf({ index, y }) {
-    const { omega, xi, up, down } = this.thresholds;
-    const gamma = y ?? up[index] ?? down[index] ?? this.grid.gamma[0];
-    const isNearerDown = down[index] !== null && Math.abs(down[index] - gamma) < Math.abs((up[index] ?? Infinity) - gamma);
+  cellOf({ row: { omega, up, down }, y }) {
+    const gamma = [y, up, down].find(Number.isFinite) ?? this.grid.gamma[0];
+    const isNearerDown = Number.isFinite(down) && !(Math.abs(up - gamma) <= Math.abs(down - gamma));
     const direction = isNearerDown ? "down" : this.directions[0];
-    return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega: omega[index], xi, direction };
+    return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega, xi: this.xi, direction };
   }
 }
 
 /** Markers joined by lines, interrupted where values are missing. */
-function drawSeries(ctx, box, omega, values, colour, direction) {
-  const points = values.map((value, i) => (value === null ? null : [box.x.pixel(omega[i]), box.y.pixel(value)]));
-  const size = Math.min(3.4, Math.max(1.6, 260 / omega.length));
+function drawSeries(ctx, box, rows, way, colour, direction) {
+  const points = rows.map(({ omega, [way]: value }) => (Number.isFinite(value) ? [box.x.pixel(omega), box.y.pixel(value)] : null));
+  const size = Math.min(3.4, Math.max(1.6, 260 / rows.length));
   polyline(ctx, colour, 1.2, points);
   for (const point of points.filter(Boolean)) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
 }
@@ -186,7 +178,4 @@ function drawMarker(ctx, [x, y], size, colour, direction, background) {
 /** At the edge of the grid, towards where a threshold lies: down where `sign` is 1. */
 const drawTriangle = (ctx, x, y, sign, colour) => polygon(ctx, colour, [[x - 4, y], [x + 4, y], [x, y + 9 * sign]]);
 
-function drawCross(ctx, x, y, colour) {
-  polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5]]);
-  polyline(ctx, colour, 1.4, [[x - 3.5, y + 3.5], [x + 3.5, y - 3.5]]);
-}
+const drawCross = (ctx, x, y, colour) => polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5], null, [x - 3.5, y + 3.5], [x + 3.5, y - 3.5]]);
