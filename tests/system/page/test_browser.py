@@ -1,6 +1,7 @@
 """The page in a real Chromium, served by a real service."""
 
 import json
+import math
 import os
 import re
 import webbrowser
@@ -643,6 +644,13 @@ _HEAR = """() => {
 }"""
 
 
+#: Numbers as a table's CSV has them.
+_PLAIN = """async (numbers) => {
+    const { number, plain } = await import(new URL("static/js/lib/format.js", location).href);
+    return numbers.map((value) => plain(number(value)));
+}"""
+
+
 def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop: str):
     """Axes are text and described; the table has what is in the window and not hidden, 25 rows at a time."""
     with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
@@ -676,6 +684,7 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         table = Path(download.value.path()).read_text()
         assert table.startswith("Γ,ramp,mode,flight times (rad)\n0.")
         assert not set("…–−^") & set(table)  # plain numbers, and all of them
+        assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
 
 
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):

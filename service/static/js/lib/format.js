@@ -1,13 +1,19 @@
 // Numbers, sizes and times as text.
 
+const [DIGITS, RAISED] = ["-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"];
+const translated = (text, from, to) => text.replace(/./g, (digit) => to[from.indexOf(digit)]);
+
 /** Up to `digits` significant digits, no trailing zeros. */
 export function number(value, digits = 5) {
   if (!Number.isFinite(value)) return "–";
   const text = String(Number(value.toPrecision(digits)));
   const [mantissa, exponent] = text.split("e");
-  const power = exponent && `10${String(Number(exponent)).replace(/./g, (digit) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(digit)])}`;
+  const power = exponent && `10${translated(String(Number(exponent)), DIGITS, RAISED)}`;
   return (power ? (mantissa === "1" ? power : `${mantissa}·${power}`) : mantissa).replaceAll("-", "−");
 }
+
+/** The text of numbers as programs read it: 2.38·10⁻⁷ is 2.38e-7, what is missing is nothing. */
+export const plain = (text) => text.replace(/^–$/, "").replaceAll("−", "-").replace(/(·?)10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)/g, (_, times, power) => `${times ? "" : "1"}e${translated(power, RAISED, DIGITS)}`);
 
 /** A part of 1 in percent. */
 export const share = (part, digits = 3) => (Number.isNaN(part) ? "–" : `${number(100 * part, digits)} %`);

@@ -2,7 +2,7 @@
 
 import { copyButton, h } from "./dom.js";
 import { downloads } from "./downloads.js";
-import { count } from "./format.js";
+import { count, plain } from "./format.js";
 
 const PAGE = 25; // rows
 
@@ -13,7 +13,7 @@ export const table = (label, titles, rows, rowClass = () => undefined) => h("div
 
 /** Rows as lines, their cells separated by `separator`, with numbers as programs read them; in CSV cells with commas or quotes are quoted. */
 const lines = ([columns, items], separator) => [columns.map(([title]) => title), ...items.map((item) => columns.map(([, text]) => text(item, true)))]
-  .map((cells) => cells.map((cell) => (separator === "," && /[",]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell).replace(/^–$/, "").replaceAll("−", "-").replaceAll("·10^", "e")).join(separator)).join("\n");
+  .map((cells) => cells.map((cell) => plain(separator === "," && /[",]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell)).join(separator)).join("\n");
 
 /** A table of PAGE rows at a time, folded away; `read()` gives its columns, [[title, (item, whole) => text, shortened or not], …], and the items whenever it is shown, `name()` the CSV's name. */
 export class PagedTable {
