@@ -421,6 +421,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.get_by_role("link", name="Mode map").click()
         page.locator(".legend", has_text="(1, 1)").wait_for()
         page.get_by_role("link", name="Thresholds").click()
+        page.locator(".tabs [aria-current]", has_text="Thresholds").wait_for()
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
