@@ -33,7 +33,7 @@ from kernel.models import variations as _variations  # noqa: F401 - registers th
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU, index_of
 from kernel.modes import Flights
 from kernel.numerics.first_root import ROOT
-from kernel.numerics.jit import allocating, inlined, jit
+from kernel.numerics.jit import allocating, inlined, is_compiled, jit
 from kernel.params import (
     FEW,
     LANES,
@@ -321,10 +321,17 @@ class LineRun:
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
-        return _walk(
+        return _walk(*self._arguments(steps))
+
+    def is_compiled(self) -> bool:
+        """Whether `advance` compiles nothing."""
+        return is_compiled(_walk, *self._arguments(_ALL))
+
+    def _arguments(self, steps: int) -> Any:
+        return (
             self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
-            self.line, self._flights, self._lanes, self._lanes.table, self._variations,
-            self._search, steps,
+            self.line, self._flights, self._lanes, self._lanes.table, self._variations, self._search,
+            steps,
         )  # fmt: skip
 
     def save(self) -> dict[str, NDArray[Any]]:

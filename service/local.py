@@ -46,6 +46,7 @@ from service.views import audit, diagram, exports, threshold
 from service.views.registry import admit, answer, stored
 from service.views.view import Call, Query
 from worker import store as stores
+from worker.analysis.audit import compile_for as compile_for_audit
 from worker.executors.inline import Inline
 from worker.files import complete_file, sync
 from worker.kernel_cache import use_cache
@@ -68,6 +69,8 @@ SAID_SECONDS: Final = 10.0
 
 #: Announce a compilation after this many seconds: loading what is compiled takes less on an idle machine.
 MESSAGE_SECONDS: Final = 1.0
+#: What a kernel may take to compile.
+COMPILING_SECONDS: Final = 20.0
 
 #: Called with the job after every check.
 ProgressCallback = Callable[[JobStatus], None]
@@ -275,7 +278,7 @@ def computed(
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)
-        _compile(parsed, progress)
+        _compile(parsed, progress, audited=budget is not None and budget > 3.0 * COMPILING_SECONDS)
         manager.start()
         try:
             runner = _Runner(manager, ledger, executor, progress)
@@ -331,9 +334,10 @@ class _Runner:
         assert self._last is not None
         study = stored(self._last.record, self._last.job)
         cells = audit.affordable(study.spec, seconds * self._executor.workers())
-        if cells is None:
+        # Compiling cannot be interrupted.
+        if cells is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
             return None
-        query = audit.AuditQuery(cells=cells, followed=0)  # compiling the stepper cannot be interrupted
+        query = audit.AuditQuery(cells=cells, followed=0)
         calls = [self._executor.call(*call) for call in audit.parts(study, query)]
         _, late = wait(calls, timeout=seconds)
         for call in late:
@@ -399,20 +403,25 @@ def _settings(folder: Path) -> Settings:
     return Settings.model_construct(data=folder.absolute())
 
 
-def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
-    """Compile in one interruptible thread rather than in all workers at once."""
+def _compile(spec: Any, progress: bool | ProgressCallback, *, audited: bool) -> None:
+    """Compile in one interruptible thread rather than in all workers at once.
+
+    audited: afterwards, while levels are computed, for their audit too.
+    """
     if is_open(spec):  # choosing its model compiles
         return
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
     thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
     compiled = thread.submit(compile_for, spec)
+    if audited:
+        thread.submit(compile_for_audit, spec)
     while not wait([compiled], LOOK_SECONDS).done:
         if progress is True and any(time.time() - each.began > MESSAGE_SECONDS for each in compilations()):
             label = CONTACT_MODELS[spec.model.kind].label
             with display_elapsed(f"compiling the {label}, or loading it from the cache"):
                 wait([compiled])
+    thread.shutdown(wait=False)
     compiled.result()
-    thread.shutdown()
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

@@ -282,6 +282,11 @@ class Entry(CPUDispatcher):
         with compiling(self._cache.described(arguments)), self._cache.locked(arguments):
             return super().compile(sig)
 
+    def is_compiled(self, *arguments: Any) -> bool:
+        """Whether a call compiles nothing: this process or the cache has the function for such arguments."""
+        types = tuple(map(self.typeof_pyval, arguments))
+        return types in self.overloads or self._cache.has(types, self.targetctx.codegen())
+
 
 class Kernel(CPUDispatcher):
     """A function that is compiled into its callers; for Python it is compiled as an entry of its own."""
@@ -341,6 +346,11 @@ class _EntryCache:
     def described(self, arguments: tuple[Any, ...]) -> str:
         """The contact model that its first argument belongs to, or else the function."""
         return f"{_module(arguments).rpartition('.')[2] or self._short} kernel"
+
+    def has(self, arguments: tuple[Any, ...], codegen: Any) -> bool:
+        """Whether there is machine code for arguments of these types."""
+        path = self._path(arguments)
+        return path is not None and _machine_code(path, codegen).exists()
 
     def load_overload(self, sig: Any, target: Any) -> Any:
         """The compiled function, or None."""

@@ -70,6 +70,11 @@ def jit(function: _Function) -> _Function:
     return _declare(function, _OPTIONS)
 
 
+def is_compiled(function: Any, *arguments: Any) -> bool:
+    """Whether a call with such arguments compiles nothing, as far as it is known."""
+    return not hasattr(function, "entry") or bool(function.entry.is_compiled(*arguments))
+
+
 def inlined(function: _Function) -> _Function:
     """As `jit`, but inlined into every caller, whatever its size: chosen by profile."""
     return _declare(function, _INLINED)

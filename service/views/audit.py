@@ -327,6 +327,11 @@ def affordable(spec: SweepSpec, seconds: float) -> int | None:
     return None if cells < FEWEST_AFFORDED else min(cells, MOST_BY_DEFAULT)
 
 
+def is_compiled(study: Stored[SweepSpec]) -> bool:
+    """Whether an audit in this process compiles nothing but what follows cells by time steps."""
+    return audit.is_compiled(study.spec, _contact(study))
+
+
 def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:
     """The audit that these core-seconds suffice for, by the table, the usual one if they do; or None."""
     usual, cells = AuditQuery(), affordable(spec, seconds)

@@ -35,6 +35,8 @@ from worker.sweep.plan import mean_periods, period_seconds
 from worker.sweep.task import run_cells, starts_of
 from worker.work import FIRST_STEPS, plate_of
 
+#: A cell, for what needs any.
+_ANY: Final = (Cell(1.0, 1.0, 1.0),)
 #: Windows of the reference relative to the sweep's.
 LONGER: Final = 10
 #: Relative change of a start whose cell is undecided if its answer changes, too.
@@ -251,9 +253,25 @@ def reference(
 
     contact: another one than the sweep's.
     """
+    return _computed(_reference(spec, cells, starts, contact))
+
+
+def is_compiled(spec: SweepSpec, contact: Contact | None) -> bool:
+    """Whether `reference` compiles nothing."""
+    return _reference(spec, _ANY, [None], contact).is_compiled()
+
+
+def compile_for(spec: SweepSpec) -> None:
+    """Compile what `reference` of a sweep's own contact runs, or load it."""
+    _reference(spec, _ANY, [None], None).advance(1)
+
+
+def _reference(
+    spec: SweepSpec, cells: Sequence[Cell], starts: Sequence[Start | None], contact: Contact | None
+) -> LineRun:
     settle, observe = (LONGER * max(periods, 1) for periods in spec.window)
     until = spec.settles_until
-    return _run(
+    return _begun(
         contact or spec.model, cells, starts, settle=settle, observe=observe,
         settle_until=None if until is None else LONGER * until,
         keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight,
@@ -261,11 +279,14 @@ def reference(
     )  # fmt: skip
 
 
-def _run(model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any) -> Line:
+def _begun(model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any) -> LineRun:
     """Cells by the scalar functions, each from its start, or from rest."""
     gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
     plate = plate_of(model, gamma, omega, xi)
-    run = LineRun(gamma, omega, xi, plate=plate, carry=True, start=list(starts), in_lanes=False, **window)
+    return LineRun(gamma, omega, xi, plate=plate, carry=True, start=list(starts), in_lanes=False, **window)
+
+
+def _computed(run: LineRun) -> Line:
     while not run.advance(FIRST_STEPS):
         check()
     return run.line
@@ -295,7 +316,7 @@ def _followed(
     start = Start(np.ascontiguousarray(ended), cell)
     bounces, periods = int(kept.bounces[0]), max(int(kept.periods[0]), 1)
     window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
-    coarse, fine = (_run(model, [cell], [start], **window) for model in steppers(spec))
+    coarse, fine = (_computed(_begun(model, [cell], [start], **window)) for model in steppers(spec))
     flights = [_last(line, spec.micro_flight, bounces) for line in (kept, coarse, fine)]
     deviation, decided = -1.0, len(flights[1]) == len(flights[2])
     if decided and len(flights[0]) == len(flights[2]):

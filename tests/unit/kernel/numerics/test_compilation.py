@@ -44,8 +44,11 @@ def codes(folder: Path) -> list[str]:
 
 
 def test_an_entry_is_read_from_the_cache_by_the_next_process(folder, monkeypatch):
+    assert not entry(quadrupled).is_compiled(2.0)
     entry(quadrupled)(2.0)
     monkeypatch.setattr(compilation._EntryCompiler, "compile_extra", None)  # would raise
+    assert entry(quadrupled).is_compiled(2.5)
+    assert not entry(quadrupled).is_compiled(2)
     assert entry(quadrupled)(2.5) == 10.0
 
 
