@@ -11,7 +11,8 @@ ENV PIP_NO_CACHE_DIR=1 \
     PIP_DISABLE_PIP_VERSION_CHECK=1 \
     PYTHONUNBUFFERED=1 \
     MPLCONFIGDIR=/tmp/matplotlib \
-    NUMBA_CACHE_DIR=/app/numba-cache
+    NUMBA_CACHE_DIR=/app/numba-cache \
+    BOUNCE_DATA=/data
 
 RUN useradd --uid 10001 --no-create-home --home-dir /app --shell /usr/sbin/nologin bounce \
     && install --directory --owner=bounce --group=bounce /app /data
@@ -44,4 +45,4 @@ VOLUME ["/data", "/app/numba-cache"]
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=10s --start-period=300s --retries=3 \
     CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
-CMD ["bounce", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]
+CMD ["bounce", "serve", "--host", "0.0.0.0", "--port", "8000"]

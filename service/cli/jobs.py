@@ -66,8 +66,9 @@ def submit(
     """
     from service.cli import output
 
-    if budget is not None and key is not None:
-        raise click.UsageError("--key is of one job, and --budget submits several: give one")
+    for option, given in (("--key", key is not None), ("--estimate", estimate)):
+        if budget is not None and given:
+            raise click.UsageError(f"{option} is of one job, and --budget submits several: give one")
     specification = _specification(spec, effort)
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))

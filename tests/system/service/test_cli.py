@@ -266,6 +266,7 @@ def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
         (["orbits", "--direction", "up"], 2, "give --omega and --xi or the ID of a job"),
         (["threshold", "--omega", "1", "--xi", "0", "--effort", "10"], 2, "only with --search"),
         (["submit", __file__, "--budget", "5s", "--key", "a"], 2, "give one"),
+        (["submit", __file__, "--budget", "5s", "--estimate"], 2, "give one"),
         (["run", __file__, "-o", "a.nc", "--omega", "1"], 2, "--omega is of a diagram"),
         (["figure", "all", "-o", "a.png"], 2, "must be a folder"),
         (["serve", "--port", "99999"], 1, "port"),
