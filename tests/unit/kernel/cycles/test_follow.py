@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from contacts import rigid, soft
 
-from kernel.cycles.any_contact import branches, branches_at
+from kernel.cycles.any_contact import branches, branches_at, up_to_shorter
+from kernel.cycles.changes import doubled
 from kernel.cycles.events import Kind
-from kernel.cycles.follow import End
+from kernel.cycles.follow import LARGEST, End, follow
 from kernel.params import Cell
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
@@ -117,3 +118,36 @@ def test_a_branch_far_above_where_the_search_begins(omega):
 @pytest.mark.parametrize(("plate", "omega", "xi"), [(soft(), 1.0, 0.26), (soft(adhesive=False), 0.6, 0.05)])
 def test_a_branch_is_listed_once(plate, omega, xi):
     assert len(branches(plate, omega, xi, 1)) == 1
+
+
+@pytest.mark.parametrize(
+    ("plate", "omega", "xi", "periods"),
+    [
+        (soft(), 0.4673, 0.1094, 1),
+        (rigid(0.0), 0.3443, 0.0518, 1),
+        (soft(restitution=0.4, penetration=1.1e-6), 0.6412, 0.0564, 2),
+    ],
+)
+def test_no_point_of_a_branch_is_far_from_the_next(plate, omega, xi, periods):
+    """Neither where a doubled branch ends at a flip, nor where segments change."""
+    lines = branches(plate, omega, xi, periods, span=(0.05, 5.0))
+    flips = [event.point for line in lines for event in line.events if event.kind is FLIP]
+    twice = [up_to_shorter(*follow(first, 0.0)) for flip in flips if (first := doubled(flip)) is not None]
+    for points in [line.points for line in lines] + [points for points, _ in twice]:
+        assert np.abs(np.diff([point.parameter for point in points])).max() < LARGEST
+
+
+def test_a_graze_of_a_soft_contact_has_the_multipliers_of_its_neighbours():
+    (line,) = branches(soft(), 0.924, 0.075, 1, span=(0.05, 4.0))
+    (flip,) = (event.point for event in line.events if event.kind is FLIP)
+    _, events = follow(doubled(flip), 0.0, span=(0.05, 4.0))
+    (graze,) = (e.point for e in events if abs(e.point.parameter - 1.5668498054773) < 1e-9)
+    assert abs(graze.multipliers()[0]) == pytest.approx(1.3875, abs=1e-4)
+
+
+def test_a_landing_that_takes_off_at_once_touches_softly():
+    """The two flights of a "z" become one, and the branch goes on to its fold."""
+    (line,) = branches(rigid(0.0), 0.3443, 0.0518, 1, span=(0.05, 5.0))
+    (graze,) = (event.point for event in line.events if event.kind is Kind.GRAZE_FLIGHT)
+    assert graze.parameter == pytest.approx(1.64169414103, abs=1e-9)
+    assert gammas(line, FOLD)[0] == pytest.approx(0.86957421370, abs=1e-9)
