@@ -13,7 +13,7 @@ import numpy as np
 
 from kernel.cycles.cycles import Point, confirmed, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, branch, events_of, join_events
-from kernel.cycles.follow import POINTS, RANGE, End, Event, follow
+from kernel.cycles.follow import POINTS, RANGE, End, Event, ahead, follow
 from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
@@ -32,6 +32,8 @@ _SAME: Final = 1e-6
 #: Where a doubled branch begins, the flights of both halves are this close, rad, of those longer than a hop.
 _EVEN: Final = 1e-3
 _HOP: Final = 1e-2
+#: Between two points a fold lies no further beyond both of them.
+_FOLDED: Final = 0.025
 #: Two cycles at one parameter are one if their flights are this close, rad; numbers of hops differ by less.
 _ALIKE: Final = 1e-5
 
@@ -193,11 +195,19 @@ def lies_on(point: Point, line: Followed) -> bool:
     if line.points[0].cycles.periods != point.cycles.periods:
         return False
     away = np.array([other.parameter for other in line.points]) - point.parameter
-    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
+    close = np.abs(away) < _FOLDED
+    between = away[:-1] * away[1:] <= 0.0
+    for i in np.flatnonzero(between | close[:-1] & close[1:]):
         a, b = line.points[i : i + 2]
-        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
-        near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
-        others = (guess.cycles.at(x, point.parameter) for guess, x in near)
+        others: list[Point | None] = []
+        if between[i]:
+            part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
+            near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
+            others = [guess.cycles.at(x, point.parameter) for guess, x in near]
+        if (
+            a.rising * b.rising < 0.0 and a.letters == point.letters
+        ):  # beside a fold the parameter tells little
+            others.append(ahead(a, float(a.tangent @ (point.x - a.x))))
         if any(other is not None and _alike(other, point) for other in others):
             return True
     return False
