@@ -182,14 +182,24 @@ def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(
     assert {job.state for job in client.jobs(search="within a budget")} == {"done"}  # nothing began
 
 
-def test_a_budget_leaves_what_somebody_else_has_queued(tmp_path: Path):
+@for_each("how", ["submitted", "resumed"])
+def test_a_budget_leaves_what_somebody_else_wants(tmp_path_factory: pytest.TempPathFactory, how: str):
     small = {"gamma": [1.1, 1.2], "omega": 0.5, "xi": 0.1}
-    with serving(tmp_path, Held(), active_jobs=1) as client:
-        running = client.submit(SPEC)
-        wait_for(lambda: running.refresh().state == "running")
-        queued = client.submit(small)
+
+    def too_short(client: Client) -> None:
         with pytest.raises(InvalidSpecification, match="was over before"):
             client.run(small, budget=1.0, progress=False)
+
+    with serving(tmp_path_factory.mktemp(how), Held(), active_jobs=1) as client:
+        running = client.submit(SPEC)
+        wait_for(lambda: running.refresh().state == "running")
+        if how == "submitted":
+            queued = client.submit(small)
+        else:
+            too_short(client)
+            (queued,) = client.jobs(state="cancelled")
+            queued.resume()
+        too_short(client)
         assert queued.refresh().state == "queued"
 
 
