@@ -413,15 +413,15 @@ def _compile(spec: Any, progress: bool | ProgressCallback, *, audited: bool) -> 
     # In a thread: the compiler blocks Python for seconds, and may lose an exception.
     thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
     compiled = thread.submit(compile_for, spec)
-    if audited:
-        thread.submit(compile_for_audit, spec)
     while not wait([compiled], LOOK_SECONDS).done:
         if progress is True and any(time.time() - each.began > MESSAGE_SECONDS for each in compilations()):
             label = CONTACT_MODELS[spec.model.kind].label
             with display_elapsed(f"compiling the {label}, or loading it from the cache"):
                 wait([compiled])
-    thread.shutdown(wait=False)
     compiled.result()
+    if audited:
+        thread.submit(compile_for_audit, spec)
+    thread.shutdown(wait=False)
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

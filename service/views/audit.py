@@ -329,7 +329,7 @@ def affordable(spec: SweepSpec, seconds: float) -> int | None:
 
 def is_compiled(study: Stored[SweepSpec]) -> bool:
     """Whether an audit in this process compiles nothing but what follows cells by time steps."""
-    return audit.is_compiled(study.spec, _contact(study))
+    return all(audit.is_compiled(study.spec, contact) for contact in (None, _contact(study)))
 
 
 def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:

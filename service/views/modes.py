@@ -113,10 +113,8 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
 
 def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:
     """The arrays of a plane with the cells of classes to hide as if they were missing."""
-    hidden, missing = (
-        selection.hidden_cells(arrays, hide),
-        dict.fromkeys((selection.LABEL.name, *schema.MODE_ARRAYS), 0.0),
-    )
+    hidden = selection.hidden_cells(arrays, hide)
+    missing = dict.fromkeys((selection.LABEL.name, *schema.MODE_ARRAYS), 0.0)
     missing |= {row.name: np.nan for row in schema.CERTIFICATE}
     return {
         name: np.where(hidden, values.dtype.type(missing[name]), values) if name in missing else values

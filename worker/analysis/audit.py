@@ -343,7 +343,8 @@ def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:
 def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:
     """Where a cell of the sweep starts; None from rest."""
     direction, *cell = index
-    return starts_of(spec, Chunk(0, tuple((i, i + 1) for i in cell), direction), url).get((0, 0))
+    chunk = Chunk(0, tuple((i, i + 1) for i in cell), direction)
+    return starts_of(spec, chunk, url, complete=True).get((0, 0))
 
 
 def moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:

@@ -61,10 +61,10 @@ def contact_states(
 class Steps(Work):
     """The record of a chunk, its finished steps, and the answers of the step under way."""
 
-    def __init__(self, *chunk: Any) -> None:
+    def __init__(self, *arguments: Any) -> None:
         self._answers: list[_Arrays] = []
         self._answered = 0
-        super().__init__(*chunk)
+        super().__init__(*arguments)
 
     def answer(
         self, spec: GridSpec, cells: Sequence[_Floats], reduce: Callable[[Line], _Arrays], **window: Any

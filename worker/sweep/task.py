@@ -106,12 +106,17 @@ def _line_run(
     )
 
 
-def starts_of(spec: SweepSpec, chunk: Chunk, store_url: str) -> dict[_LineIndex, Start | None]:
-    """The start of each line of a ramp's chunk; empty if all lines start from rest."""
+def starts_of(
+    spec: SweepSpec, chunk: Chunk, store_url: str, *, complete: bool = False
+) -> dict[_LineIndex, Start | None]:
+    """The start of each line of a ramp's chunk; empty if all lines start from rest.
+
+    complete: as of `store.read_chunk`.
+    """
     layer = _layer_before(spec, chunk)
     if layer is None:
         return _starts_on_cycles(spec, chunk)
-    stored = store.read_chunk(store_url, layer, ("end_state", "outcome"))
+    stored = store.read_chunk(store_url, layer, ("end_state", "outcome"), complete=complete)
     previous = _in_visiting_order(spec, layer, stored | cells_of(spec, layer))
     if np.any(previous["outcome"] == Outcome.MISSING):
         raise PredecessorMissing(

@@ -1,5 +1,6 @@
 """Audits and plans through the service: damage is found, what is computed once stays with the job."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,7 +12,8 @@ from served import finished, service
 from studies import spec_of
 
 from service.local import computed
-from service.views.audit import affordable
+from service.views.audit import affordable, is_compiled
+from worker.analysis import audit
 from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
 from worker.analysis.planning import Setting, Share, recommended
@@ -59,6 +61,14 @@ def test_the_contact_of_a_hasty_choice_is_asked_for_beside_the_numerics(client: 
     assert found.against.values.tolist() == ["numerics", "model"]
     flights = found.sel(question="flights").changed
     assert flights.sel(against="model") > flights.sel(against="numerics")
+
+
+def test_an_audit_is_compiled_where_the_kernels_of_both_questions_are(monkeypatch):
+    stepped = SweepSpec.parse(PLANE | {"model": {"kind": "stepped", "steps_per_contact": 5}})
+    study: Any = SimpleNamespace(spec=stepped, submitted=stepped)
+    for kinds in ({Soft}, {type(None)}, {Soft, type(None)}):
+        monkeypatch.setattr(audit, "is_compiled", lambda _, contact, kinds=kinds: type(contact) in kinds)
+        assert is_compiled(study) is (len(kinds) == 2)
 
 
 def test_cells_of_a_ramp_are_computed_again_from_where_they_began(client: TestClient):
