@@ -69,8 +69,8 @@ SAID_SECONDS: Final = 10.0
 
 #: Announce a compilation after this many seconds: loading what is compiled takes less on an idle machine.
 MESSAGE_SECONDS: Final = 1.0
-#: What a kernel may take to compile.
-COMPILING_SECONDS: Final = 20.0
+#: What a kernel may take to compile, and the least budget within which it is compiled beside the levels.
+COMPILING_SECONDS, COMPILING_BUDGET = 20.0, 60.0
 
 #: Called with the job after every check.
 ProgressCallback = Callable[[JobStatus], None]
@@ -278,7 +278,7 @@ def computed(
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)
-        _compile(parsed, progress, audited=budget is not None and budget > 3.0 * COMPILING_SECONDS)
+        _compile(parsed, progress, audited=budget is not None and budget >= COMPILING_BUDGET)
         manager.start()
         try:
             runner = _Runner(manager, ledger, executor, progress)
