@@ -625,6 +625,27 @@ def test_tabs_share_the_damping_and_the_selected_cell(browser: Any, address: str
         page.locator("[aria-valuetext='Γ = 0.86']").wait_for()
 
 
+#: Holds the request for what the service runs on until release() is called.
+_HOLD = """const { promise, resolve } = Promise.withResolvers(), send = window.fetch;
+window.release = resolve;
+window.fetch = async (path, options) => {
+    if (path === "/v1/software") await promise;
+    return send(path, options);
+}"""
+
+
+def test_details_that_were_left_do_not_come_back(browser: Any, address: str, loop: str):
+    with opened(browser, "about:blank") as page:
+        page.add_init_script(_HOLD)
+        page.goto(view(address, loop, "details"))
+        page.get_by_role("heading", name="Origin").wait_for()
+        page.get_by_role("link", name="Diagram").click()
+        wait_shown(page, along="gamma")
+        page.evaluate("async () => { release(); await (await fetch('/v1/software')).json(); }")
+        page.wait_for_timeout(100)
+        assert page.locator(".panel .plot").is_visible()
+
+
 def test_the_picture_of_the_readme(browser: Any, address: str):
     """Kept in test-artefacts/page/figure-2.png."""
     gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
