@@ -243,6 +243,15 @@ DROP = """([name, text]) => {
 }"""
 
 
+def test_a_kind_of_study_begins_with_what_the_kind_before_lacked(browser: Any, address: str):
+    """A study of cycles has no Γ: an edited one is not kept over it, and not left empty."""
+    with opened(browser, f"{address}/#/new") as page:
+        page.locator("[data-field='gamma.num']").fill("30")
+        for kind in ("orbits", "rest"):
+            page.get_by_label("Study").select_option(kind)
+        page.locator("[data-field='gamma.num']").wait_for()
+
+
 def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
     orbits = {"name": "dropped", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
     with opened(browser, address, expected=("422",)) as page:
