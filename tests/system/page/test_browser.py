@@ -243,6 +243,15 @@ DROP = """([name, text]) => {
 }"""
 
 
+def test_a_kind_of_study_begins_with_what_the_kind_before_lacked(browser: Any, address: str):
+    """A study of cycles has no Γ: an edited one is not kept over it, and not left empty."""
+    with opened(browser, f"{address}/#/new") as page:
+        page.locator("[data-field='gamma.num']").fill("30")
+        for kind in ("orbits", "rest"):
+            page.get_by_label("Study").select_option(kind)
+        page.locator("[data-field='gamma.num']").wait_for()
+
+
 def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
     orbits = {"name": "dropped", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
     with opened(browser, address, expected=("422",)) as page:
@@ -623,6 +632,27 @@ def test_tabs_share_the_damping_and_the_selected_cell(browser: Any, address: str
         page.get_by_label("Axis of the diagram").select_option("omega")
         wait_shown(page, along="omega", xi=0.1)
         page.locator("[aria-valuetext='Γ = 0.86']").wait_for()
+
+
+#: Holds the request for what the service runs on until release() is called.
+_HOLD = """const { promise, resolve } = Promise.withResolvers(), send = window.fetch;
+window.release = resolve;
+window.fetch = async (path, options) => {
+    if (path === "/v1/software") await promise;
+    return send(path, options);
+}"""
+
+
+def test_details_that_were_left_do_not_come_back(browser: Any, address: str, loop: str):
+    with opened(browser, "about:blank") as page:
+        page.add_init_script(_HOLD)
+        page.goto(view(address, loop, "details"))
+        page.get_by_role("heading", name="Origin").wait_for()
+        page.get_by_role("link", name="Diagram").click()
+        wait_shown(page, along="gamma")
+        page.evaluate("async () => { release(); await (await fetch('/v1/software')).json(); }")
+        page.wait_for_timeout(100)
+        assert page.locator(".panel .plot").is_visible()
 
 
 def test_the_picture_of_the_readme(browser: Any, address: str):

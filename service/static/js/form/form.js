@@ -121,11 +121,12 @@ export class SweepForm {
     }
   }
 
-  /** Show a specification, but for what was edited. */
+  /** Show a specification, but for what was edited; of a field that the kind before did not have, nothing is kept. */
   #fill(spec, kind = this.edited.has("protocol") ? this.shown : kindOf(spec), isKept = (name) => this.edited.has(name)) {
+    const { fields: before = {} } = this;
     const kept = this.fields ? this.#read() : {};
     this.#show(kind);
-    for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) ? kept : spec)[name]);
+    for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) && name in before ? kept : spec)[name]);
     this.#onChange();
   }
 

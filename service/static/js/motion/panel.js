@@ -26,7 +26,7 @@ export class TrajectoryPanel {
 
   /** Shown in `root`, until `signal` aborts; without `onClose` it cannot be closed. */
   constructor(root, signal, onClose = null) {
-    Object.assign(this, { root, onClose });
+    Object.assign(this, { root, signal, onClose });
     signal.addEventListener("abort", () => this.hide());
   }
 
@@ -36,7 +36,7 @@ export class TrajectoryPanel {
    */
   async show(job, cell) {
     const key = JSON.stringify([cell, job.spec.model]);
-    if (this.shown === key) return;
+    if (this.shown === key || this.signal.aborted) return;
     this.shown = key;
     this.request?.abort();
     this.request = new AbortController();

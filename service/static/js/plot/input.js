@@ -99,7 +99,8 @@ export function listenToInput(plot, handlers) {
     if (event.ctrlKey || event.metaKey || event.altKey || !key) return;
     event.preventDefault();
     const [name, ...given] = key;
-    handlers[name](...(name === "step" && event.shiftKey ? given.map((cells) => cells * LARGE_STEP) : given));
+    const isLarge = event.shiftKey && event.key.startsWith("Arrow");
+    handlers[name](...(isLarge ? given.map((cells) => cells * LARGE_STEP) : given));
   });
 }
 
@@ -132,7 +133,7 @@ export function scaled({ box }, window, whole, factors, from, to = from) {
     const centre = axis.value((axis.pixel(low) + axis.pixel(high)) / 2);
     const [before, after] = [from, to].map((point) => axis.pixel(point?.[i] ?? centre));
     const [start, end] = [low, high].map((value) => axis.value(before + factors[i] * (axis.pixel(value) - after)));
-    if (factors[i] === 1 && (start < least || end > most)) return [low, high]; // a window that is moved keeps its size
+    if (factors[i] === 1 && (before === after || start < least || end > most)) return [low, high]; // a window that is moved keeps its size
     return [Math.max(least, start), Math.min(most, end)];
   };
   const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], 0);

@@ -12,13 +12,13 @@ import { Snippets } from "../lib/snippets.js";
 import { sharedPage } from "./measured.js";
 
 export class Details {
-  constructor(root, { sources: [{ job }] }) {
+  constructor(root, { sources: [{ job }], signal }) {
     this.root = root;
     this.snippets = new Snippets("JSON");
     this.audit = auditOf(job); // stays as the details around it change
     this.update(job);
     // The details are shown without what the service runs on until it answers; another view reports that it does not.
-    requestJson("/v1/software").then((software) => { this.software = software; this.update(this.job); }, () => {});
+    requestJson("/v1/software", { signal }).then((software) => { this.software = software; this.update(this.job); }, () => {});
   }
 
   update(job) {
