@@ -117,7 +117,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     }  # fmt: skip
     if found is not None:
         data["missed"] = found.missed
-    if found is not None and not found.gamma > thresholds.down:
+    if found is not None and not found.gamma > thresholds.down * _SAME_END:
         gamma, what = (found.gamma, found.what) if np.isfinite(found.gamma) else (thresholds.gamma_th, EQ_25)
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
         data |= {row.name: getattr(found, row.name) for row in _OF_SEARCH}
@@ -173,6 +173,8 @@ SPRING: Final = View(
 )  # fmt: skip
 
 
+#: A search that ends no higher than this part of the rule's end has found it, or a lower one.
+_SAME_END: Final = 1.0 + 1e-9
 #: Core-seconds of a grid, and of one of its springs: continued, or searched with up to 1,000 starts.
 MAX_GRID_SECONDS: Final = 4_000.0
 _CONTINUED, _SEARCHED = 1.0, 15.0
