@@ -96,6 +96,7 @@ class Budget:
         self.first: Future[JobRecord] = Future()
         self.levels: tuple[str, ...] = ()  # their jobs
         self.doing = ""  # in words
+        self._why = ""  # no finer level came, if another reason than the time
         self.computing: str | None = None  # the job of the level that is computed
         self.answer: str | None = None  # the job of the finest level that is done
         self.error: str | None = None
@@ -125,7 +126,7 @@ class Budget:
         self.computing, self.over = None, True
 
     def _show(self, text: str, left: float) -> None:
-        self.doing = text
+        self.doing = text + self._why
 
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         deadline = time.monotonic() + seconds
@@ -149,6 +150,8 @@ class Budget:
             return True
         if record is not None and self.answer is None:
             raise RunFailed(record.error or "the first level was cancelled")
+        if record is not None:
+            self._why = f"; a finer level is {record.state}{f': {record.error}' if record.error else ''}"
         return False
 
     def audit(self, spec: SweepSpec, seconds: float) -> str | None:
