@@ -45,4 +45,4 @@ VOLUME ["/data", "/app/numba-cache"]
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=10s --start-period=300s --retries=3 \
     CMD ["python", "-c", "from urllib.request import urlopen; urlopen('http://127.0.0.1:8000/healthz', timeout=4)"]
-CMD ["bounce", "serve", "--host", "0.0.0.0", "--port", "8000"]
+CMD ["bounce", "serve", "--host", "0.0.0.0", "--port", "8000", "--data", "/data"]
