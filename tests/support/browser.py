@@ -112,6 +112,12 @@ def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **opti
     assert unexpected == [], unexpected
 
 
+def open_tab(page: Any, title: str) -> None:
+    """Open a tab of a sweep, and wait until it has taken the place of the one before."""
+    page.locator(".tabs a", has_text=title).click()
+    page.locator(".tabs [aria-current]", has_text=title).wait_for()
+
+
 def wait_shown(page: Any, **values: Any) -> None:
     """Wait until the plot shows these parameters."""
     page.wait_for_function(

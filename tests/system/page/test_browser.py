@@ -16,6 +16,7 @@ from browser import (
     ROOT,
     longest_task,
     needs_chromium,
+    open_tab,
     opened,
     screenshot,
     wait_shown,
@@ -333,7 +334,7 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         wait_shown(page, along="gamma")
         assert error.is_visible()
         screenshot(page, "failed")
-        page.get_by_role("link", name="Mode map").click()
+        open_tab(page, "Mode map")
         wait_shown(page, direction="up")
         assert error.is_visible()
         page.get_by_role("button", name="Resume").click()
@@ -427,14 +428,13 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.keyboard.press("Enter")
         wait_shown(page, omega=0.6)
         assert colours(page) > 2
-        page.get_by_role("link", name="Mode map").click()
+        open_tab(page, "Mode map")
         page.locator(".legend", has_text="(1, 1)").wait_for()
-        page.get_by_role("link", name="Thresholds").click()
-        page.locator(".tabs [aria-current]", has_text="Thresholds").wait_for()
+        open_tab(page, "Thresholds")
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
-        page.get_by_role("link", name="Details").click()
+        open_tab(page, "Details")
         page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
         screenshot(page, "shared-details", whole=False)
         page.get_by_role("link", name="Bouncing spring").click()  # there is no list
@@ -621,13 +621,13 @@ def test_tabs_share_the_damping_and_the_selected_cell(browser: Any, address: str
         for tab in ("Mode map", "Thresholds"):
             page.get_by_role("link", name=tab).click()
             wait_shown(page, xi=0.1)
-        page.get_by_role("link", name="Mode map").click()
+        open_tab(page, "Mode map")
         wait_shown(page, direction="up")
         page.locator(".panel .plot").focus()
         for key in ("ArrowRight", "ArrowUp", "ArrowUp", "Enter"):
             page.keyboard.press(key)
         page.wait_for_url(re.compile("cell=0.86,0.8,0.1,up"))
-        page.get_by_role("link", name="Diagram").click()
+        open_tab(page, "Diagram")
         wait_shown(page, along="gamma", omega=0.8, xi=0.1)
         page.get_by_label("Axis of the diagram").select_option("omega")
         wait_shown(page, along="omega", xi=0.1)
@@ -648,7 +648,7 @@ def test_details_that_were_left_do_not_come_back(browser: Any, address: str, loo
         page.add_init_script(_HOLD)
         page.goto(view(address, loop, "details"))
         page.get_by_role("heading", name="Origin").wait_for()
-        page.get_by_role("link", name="Diagram").click()
+        open_tab(page, "Diagram")
         wait_shown(page, along="gamma")
         page.evaluate("async () => { release(); await (await fetch('/v1/software')).json(); }")
         page.wait_for_timeout(100)

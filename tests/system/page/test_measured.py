@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import needs_chromium, opened, screenshot, wait_shown
+from browser import needs_chromium, open_tab, opened, screenshot, wait_shown
 from served import done
 from studies import spec_of
 
@@ -52,7 +52,7 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         screenshot(page, "measured", whole=False)
         page.emulate_media(color_scheme="dark")
         screenshot(page, "measured-dark", whole=False)
-        page.get_by_role("link", name="Thresholds").click()
+        open_tab(page, "Thresholds")
         wait_shown(page, xi=0.05)
         assert said.is_hidden()
         page.evaluate(DROP, ["thresholds.csv", "omega,gamma\n0.6,0.7\n"])
@@ -61,10 +61,10 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         with page.expect_download() as download:
             page.get_by_role("button", name="Download a page to share").click()
         download.value.save_as(tmp_path / "shared.html")
-        page.get_by_role("link", name="Diagram").click()  # the page keeps them
+        open_tab(page, "Diagram")  # the page keeps them
         said.get_by_role("button", name="remove").click()
         said.wait_for(state="hidden")
     with opened(browser, f"{(tmp_path / 'shared.html').as_uri()}", offline=True) as page:
         page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points").wait_for()
-        page.get_by_role("link", name="Thresholds").click()
+        open_tab(page, "Thresholds")
         page.locator(".measured", has_text="thresholds.csv: 1 of 1 point").wait_for()
