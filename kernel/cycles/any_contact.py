@@ -204,9 +204,8 @@ def lies_on(point: Point, line: Followed) -> bool:
             part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
             near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
             others = [guess.cycles.at(x, point.parameter) for guess, x in near]
-        if (
-            a.rising * b.rising < 0.0 and a.letters == point.letters
-        ):  # beside a fold the parameter tells little
+        # Beside a fold the parameter tells little.
+        if a.rising * b.rising < 0.0 and a.letters == point.letters:
             others.append(ahead(a, float(a.tangent @ (point.x - a.x))))
         if any(other is not None and _alike(other, point) for other in others):
             return True
