@@ -17,11 +17,15 @@ _FIRST, _LARGEST, _SMALLEST = 1e-3, 4e-3, 1e-6
 _STAY, _FINE_STAY, _FINE = 3_000, 20_000, 1e-4
 #: Copies of a motion that are carried on, their spread, relative, and steps at most.
 _COPIES, _SPREAD, _STEPS = 16, 1e-5, 150
+#: Plate periods that a copy must outlive at the end, or all of them are transients.
+_LONG: Final = 200_000
+#: A cycle of more plate periods is carried on as other motions are.
+LONGEST: Final = 24
 
 #: Rounds of a torus, plate periods of the cycles that it may lie around, and states beside which these are.
 _ROUNDS, _AROUND, _GUESSES = 6_000, 8, 16
-#: A rotation number that is known less well is none.
-_KNOWN: Final = 1e-4
+#: A rotation number that is known less well, by itself or relative, is none.
+_KNOWN, _PART = 1e-4, 0.1
 
 
 class Crept(NamedTuple):
@@ -29,7 +33,7 @@ class Crept(NamedTuple):
 
     cell: Cell
     line: Line  # of the copies that bounce there
-    gone: float  # the highest Gamma at which all copies came to rest; 0: none
+    gone: float  # the Gamma below it at which all copies came to rest; 0: none
 
     @property
     def periods(self) -> int:
@@ -66,32 +70,57 @@ def _cells(plate: Any, count: int) -> Any:
 def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Crept | None:
     """Carry a motion from a state (6,) down as far as it bounces on; None if it does not at `cell`.
 
-    Each step is halved until a copy of the motion survives it. Ends early where it has become a cycle.
+    Each step is halved until a copy of the motion survives it: a large one may end what smaller ones keep.
+    Ends early where it has become a cycle of at most LONGEST plate periods. Of the steps the last is taken
+    that a copy outlives for long.
     """
     at, states, step, gone = cell, state[None], _FIRST, 0.0
 
     def carried(gamma: float, stay: int) -> Line | None:
         copies = np.resize(states, (_COPIES, state.size))
         copies[:, 2:] *= at.gamma / gamma * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
-        line = run(plate, np.full(_COPIES, gamma), cell.omega, cell.xi, copies, stay, 100)
-        left = line.outcome != Outcome.AT_REST
-        return Line(*(x[left] for x in line)) if left.any() else None
+        return _bouncing(plate, cell._replace(gamma=gamma), copies, stay)
 
     line = carried(cell.gamma, _STAY)
     if line is None:
         return None
+    steps = [Crept(cell, line, 0.0)]
     for _ in range(_STEPS):
-        if gone == 0.0 and at is not cell and Crept(at, line, gone).periods:
-            break
         states, gamma = line.end_state, at.gamma * (1.0 - step)
-        lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY) if gamma > gone else None
+        lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY)
         if lower is not None:
-            at, line, step = at._replace(gamma=gamma), lower, min(1.5 * step, _LARGEST)
+            at, line, gone = at._replace(gamma=gamma), lower, gone if gamma > gone else 0.0
+            steps.append(Crept(at, line, gone))
+            if gone == 0.0:
+                step = min(1.5 * step, _LARGEST)
+                if 0 < steps[-1].periods <= LONGEST:
+                    return steps[-1]
         elif step < _SMALLEST:
             break
         else:
             gone, step = max(gone, gamma), 0.5 * step
-    return Crept(at, line, gone)
+    return _lasting(plate, steps, gone)
+
+
+def _bouncing(plate: Any, cell: Cell, states: Floats, settle: int) -> Line | None:
+    """The copies that still bounce; None: none."""
+    line = run(plate, np.full(len(states), cell.gamma), cell.omega, cell.xi, states, settle, 100)
+    left = line.outcome != Outcome.AT_REST
+    return Line(*(x[left] for x in line)) if left.any() else None
+
+
+def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
+    """The last step of which a copy bounces for long, found by bisection; `gone` is below the last of all."""
+    good, bad, found = -1, len(steps), None
+    i = bad - 1
+    while bad - good > 1:
+        line = _bouncing(plate, steps[i].cell, steps[i].line.end_state, _LONG)
+        if line is None:
+            bad, gone = i, steps[i].cell.gamma
+        else:
+            good, found = i, Crept(steps[i].cell, line, gone)
+        i = (good + bad) // 2
+    return found
 
 
 def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
@@ -112,7 +141,7 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
             turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
             number, half = _mean(turns), _mean(turns[: len(turns) // 2])
             number, error = abs(number - round(number)), abs(number - half)
-            if error < min(_KNOWN, number):  # 0: the cycle lies outside
+            if error < min(_KNOWN, _PART * number):  # 0: the cycle lies outside
                 return Rotation(number, error, around)
     return None
 

@@ -13,11 +13,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from kernel.creep import Crept, creep, rotation, run
+from kernel.creep import LONGEST, Crept, creep, rotation, run
 from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats, seeds
 from kernel.cycles.contact_thresholds import above, lowest_stable, rest_ends
 from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
-from kernel.cycles.descent import Descent, cycle_of, descend, fold_of, folds_of_twice
+from kernel.cycles.descent import Descent, cycle_of, descend, ended, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.starts import cycles_at, start_on_cycle
@@ -42,8 +42,8 @@ _MOST, _CARRIED = 32, 12
 #: Newton's method begins at this part of all starts each time, for up to so many plate periods, where the
 #: equations of the cycle are off by more than rounding and by less than this.
 _SEEDS, _PERIODS, _NEAR, _FAR = 0.1, 18, 1e-6, 0.5
-#: Points of a branch each way, and plate periods of cycles that survive.
-_POINTS, _LONGEST = 300, 24
+#: Points of a branch each way.
+_POINTS: Final = 300
 #: A rotation number this close to a fraction of so small a denominator is locked.
 _EXACTLY, _LOCKED = 1e-10, 64
 #: A cycle next to which an event shows a stable one has no larger multiplier.
@@ -171,7 +171,7 @@ class _Search:
             if event.kind is Kind.FLIP:
                 folds = folds_of_twice(event.point, self.bound)
             elif event.kind is Kind.NEIMARK_SACKER:
-                self._down(Cell(*event.point.cell), 0, event.point.state)
+                self._ends(ended(event))
             for fold in folds:
                 if fold.curvature > 0.0 and fold.holds:
                     self._ends(Descent(fold.gamma, fold, ""))
@@ -188,7 +188,7 @@ class _Search:
     def _down(self, cell: Cell, periods: int, state: Floats) -> None:
         """Follow what bounces at a cell down to its end: a stable cycle along its branch, others by steps."""
         while self.carried < _CARRIED:
-            cycle = cycle_from(self.plate, cell, periods, state) if 0 < periods <= _LONGEST else None
+            cycle = cycle_from(self.plate, cell, periods, state) if 0 < periods <= LONGEST else None
             if cycle is not None and cycle.stable:
                 self._follow(cycle.begun(_first(cycle)))
                 return

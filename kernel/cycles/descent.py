@@ -78,13 +78,19 @@ def descend(point: Point) -> Descent:
             return Descent(gamma, None, "")
         after = doubled(last.point) if last.kind is Kind.FLIP else None
         if after is None:
-            reason = f"{name} ends at a {last.kind} at Gamma = {gamma:.6f}"
-            if last.kind is Kind.NEIMARK_SACKER:
-                turn = abs(np.angle(last.point.multipliers()[0])) / TWO_PI
-                reason += f": a torus begins with rotation number {turn:.6f}"
-            return Descent(gamma, None, reason, last.point)
+            return ended(last)
         point, way = after, 0.0
     return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.6f}", point)
+
+
+def ended(event: Event) -> Descent:
+    """The end of a stable cycle at an event beyond which branches do not tell what bounces."""
+    point = event.point
+    reason = f"{cycle_of(point).name} ends at a {event.kind} at Gamma = {point.parameter:.6f}"
+    if event.kind is Kind.NEIMARK_SACKER:
+        turn = abs(np.angle(point.multipliers()[0])) / TWO_PI
+        reason += f": a torus begins with rotation number {turn:.6f}"
+    return Descent(point.parameter, None, reason, point)
 
 
 def folds_of_twice(flip: Point, below: float) -> list[Fold]:
