@@ -134,6 +134,7 @@ _CLASS_BY_STATUS: Final[dict[int, type[Refused]]] = {
     403: Unauthorized,
     404: NotFound,
     409: Conflict,
+    410: NotFound,
     413: TooLarge,
     422: BadRequest,
     429: Busy,

@@ -66,6 +66,8 @@ def store_url(transport: Transport, path: str, job_id: str) -> str:
     try:
         response = transport.get(f"{path}/{_METADATA}")
     except NotFound as error:
+        if error.status == HTTPStatus.GONE:
+            raise
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
     address = response.headers.get("Bounce-Store")
     if not address:
@@ -120,7 +122,9 @@ class HTTPStore(WrapperStore[Store]):
     ) -> Buffer | None:
         """The value of a key, or a part of it; None if there is none."""
         if self.reads_directly and not key.endswith(_METADATA):
-            return await super().get(key, prototype, byte_range)
+            value = await super().get(key, prototype, byte_range)
+            if value is not None:  # else the service knows whether the job was deleted
+                return value
         content = await asyncio.to_thread(self._fetch, key, byte_range)
         return None if content is None else prototype.buffer.from_bytes(content)
 
@@ -143,7 +147,9 @@ class HTTPStore(WrapperStore[Store]):
         headers, part = _range(byte_range)
         try:
             response = self._transport.get(f"{self._path}/{key}", headers=headers)
-        except NotFound:
+        except NotFound as error:
+            if error.status == HTTPStatus.GONE:  # the job was deleted: its cells are not missing
+                raise
             return None
         except Refused as error:
             if error.status != HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:

@@ -13,7 +13,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.api import dependencies, schemas
 from service.api.capacity import PIECE, SMALL_ANSWER, Cost, costly
-from service.api.dependencies import JobDep, ResultsJob, ServiceDep
+from service.api.dependencies import JobDep, ServiceDep, StoreJob
 from service.api.schemas import NOT_MODIFIED, content, problem_responses
 from service.formats import EXPORTS, MEDIA_TYPES
 from service.ledger.model import JobRecord, JobState
@@ -104,13 +104,13 @@ def _span(byte_range: str, size: int) -> slice | None:
         200: {"content": {"application/octet-stream": {}}},
         206: {"description": "Some of the bytes", "content": {"application/octet-stream": {}}},
         **NOT_MODIFIED,
-        **problem_responses(404, 416),
+        **problem_responses(404, 410, 416),
     },
 )
 @costly(_zarr_cost, "store")
 def get_zarr_file(
     service: ServiceDep,
-    job: ResultsJob,
+    job: StoreJob,
     key: str,
     byte_range: Annotated[
         str | None,
@@ -124,7 +124,7 @@ def get_zarr_file(
     bucket.
     """
     prepared = service.manager.preparer.prepare(job)
-    content = prepared.read_file(key, complete=job.state is JobState.DONE)
+    content = prepared.read_file(key, complete=job.state is JobState.DONE, begun=job.chunks_done > 0)
     if content is None:
         raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}

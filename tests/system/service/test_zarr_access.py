@@ -12,11 +12,12 @@ import pytest
 import xarray
 from answering import Answer, scripted
 from fastapi.testclient import TestClient
+from scripted import wait_for
 from served import RAMP, computing, computing_at, finished
 from zarr.abc.store import RangeByteRequest
 from zarr.core.buffer import default_buffer_prototype
 
-from service.client import Client
+from service.client import Client, NotFound
 from service.client.zarr_store import HTTPStore
 from worker.study import layout
 
@@ -170,3 +171,21 @@ def test_of_a_shard_parts_are_sent(job: Any, monkeypatch: pytest.MonkeyPatch):
     assert {status for status, _ in received} == {206}
     [shard] = sorted(Path(job.store_url, "flight_time").glob("c.0.0.0.0*"))
     assert sum(size for _, size in received) < shard.stat().st_size
+
+
+def test_of_a_deleted_job_no_cell_is_read_as_missing(tmp_path: Path):
+    """Where a key has no value zarr takes its fill value, and the cells would have no flights."""
+    with computing_at(tmp_path) as address, Client(address) as client:
+        job = client.submit(RAMP).wait()
+        opened = [job.open(), job.open(chunks={}), job.open(direct=True)]
+        without_client, folder = xarray.open_zarr(f"{address}/v1/jobs/{job.id}/zarr"), Path(job.store_url)
+        assert all(dataset.flights.sum() > 0 for dataset in [job.open(), job.open(direct=True)])
+        job.delete()
+        wait_for(lambda: not folder.exists())
+        for dataset in opened:
+            with pytest.raises(NotFound, match="was it deleted"):
+                dataset.flights.load()
+        with pytest.raises(Exception, match="410"):
+            without_client.flights.load()
+        with pytest.raises(NotFound, match="was it deleted"):
+            job.open()
