@@ -127,6 +127,8 @@ def both_ways(
     if len(up) > 1 and up[-1] is up[0]:
         return Followed(up, after)
     down, before = up_to_shorter(*follow(seed, -1.0, points=points, span=span, until=until))
+    if len(down) > 1 and down[-1] is down[0]:  # the way up ended where the way down went on
+        return Followed(down, before)
     return Followed([*down[:0:-1], *up], [*before[::-1], *after])
 
 

@@ -120,6 +120,13 @@ def test_a_branch_is_listed_once(plate, omega, xi):
     assert len(branches(plate, omega, xi, 1)) == 1
 
 
+def test_a_closed_branch_is_followed_once_round():
+    """The way up ends at a graze, beyond which multipliers are 1e9; the way down passes it."""
+    line = branches(rigid(0.7819524271923788), 0.815356973566653, 0.2062226694442393, 2)[0]
+    assert line.points[-1] is line.points[0]
+    assert sum(event.point.parameter == pytest.approx(2.890535234, abs=1e-7) for event in line.events) == 1
+
+
 def test_a_branch_stays_on_its_own_where_segments_change():
     stiff = soft(restitution=0.4, penetration=1.1e-6)
     for line in branches(stiff, 0.6412, 0.0564, 2, span=(0.05, 5.0)):
