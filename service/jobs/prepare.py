@@ -81,11 +81,13 @@ class PreparedJob:
         """The job's cost by the cost table."""
         return self.study.estimate(self.spec, self.plan)
 
-    def read_file(self, key: str, *, complete: bool = False) -> bytes | None:
+    def read_file(self, key: str, *, complete: bool = False, begun: bool = False) -> bytes | None:
         """The store's bytes under a key, if they are what the job stores there; None without any.
 
-        `complete`: whether everything was written, so that a missing file is damage. Raises StoreDamaged.
+        A missing file is damage if `complete`: everything was written; or, of metadata and coordinates, if
+        `begun`: a chunk was. Raises StoreDamaged.
         """
+        begun |= complete
         if not self.layout.has_key(key):
             return None
         if key.partition("/")[0] in self.layout.names and not key.endswith("zarr.json"):
@@ -93,11 +95,11 @@ class PreparedJob:
                 forms = store.stored_forms(self.store_url, self.forms)
                 return store.read_file(self.store_url, key, forms, complete=complete)
             except store.StoreMissing as error:
-                if complete:
+                if begun:
                     raise store.StoreDamaged(str(error)) from error
                 return None  # the store is created with the first chunk
         content = store.read_key(self.store_url, key)
-        checked = self.metadata is not None and (complete or content is not None)
+        checked = self.metadata is not None and (begun or content is not None)
         if checked and content not in [allowed.get(key) for allowed in self.metadata or ()]:
             raise store.StoreDamaged(f"{key}: is not what the store's specification says")
         return content

@@ -470,7 +470,7 @@ def cell_parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call
     try:
         store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
     except store.StoreMissing as error:
-        if study.complete:
+        if study.begun:
             raise store.StoreDamaged(str(error)) from error
         return []
     direction, spring = _line(study.spec, query)

@@ -78,6 +78,11 @@ class Stored(Generic[_Spec_co]):
         return not self.repairing and bool(np.all(outcome != Outcome.MISSING))
 
     @property
+    def begun(self) -> bool:
+        """Whether a chunk is done: a missing store is damage then, not work to come."""
+        return self.complete or self.chunks_done > 0
+
+    @property
     def attributes(self) -> dict[str, str]:
         """Attributes of a picture of these results: job and versions, a comment if the kernel is not ours."""
         job = {} if self.job is None else {"job": self.job}
@@ -202,9 +207,9 @@ def read_stored(
             stored = [name for name in names if name in there]
         arrays = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
     except store.StoreMissing as error:
-        if study.complete:
+        if study.begun:
             raise store.StoreDamaged(str(error)) from error
-        arrays = {}  # The job is still queued: its store is created with the first chunk.
+        arrays = {}  # The store is created with the first chunk.
     return arrays if len(arrays) == len(names) else _fill_values(study.spec, names, indices) | arrays
 
 

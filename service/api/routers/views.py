@@ -38,6 +38,7 @@ from service.views.registry import SPRINGS, VIEWS, admit, answer, motion, planne
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
+from worker.store import StoreDamaged, StoreMissing
 from worker.studies import from_json
 from worker.sweep import SweepSpec
 
@@ -179,6 +180,8 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
             results += service.on_demand.get(key, step)
         except KernelInputError as error:
             raise InvalidRequest.of(error.argument, error.rule) from error
+        except StoreMissing as error:  # lost, or deleted meanwhile
+            raise StoreDamaged(str(error)) from error
     return results
 
 

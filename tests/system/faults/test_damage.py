@@ -318,6 +318,35 @@ def test_a_store_that_is_gone_is_computed_again(tmp_path: Path):
         assert files(service.store(here)) == intact
 
 
+@pytest.mark.parametrize("query", ["audit?cells=21", "threshold?tolerance=1e-3&xi=0.05"])
+def test_what_workers_read_is_repaired_too(tmp_path: Path, query: str):
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+        (service.store(here) / "zarr.json").unlink()
+
+        def status() -> int:
+            return int(service.client.get(f"{here}/{query}").status_code)
+
+        statuses: list[int] = []
+        wait_for(lambda: statuses.append(status()) or statuses[-1] != 202)
+        assert statuses[-1] == 503
+        wait_for(lambda: statuses.append(status()) or statuses[-1] != 202)
+        assert statuses[-1] == 200
+
+
+def test_metadata_that_an_unfinished_job_lost_is_damage(tmp_path: Path):
+    with running(tmp_path) as service:
+        service.executor.script[3] = [RuntimeError("fails")] * 99
+        here = str(service.client.post("/v1/jobs", json=SWEEP).headers["Location"])
+        wait_for(lambda: service.client.get(here).json()["state"] == "failed")
+        answers = [answer.json() for answer in service.answers(here, SWEEP)]
+        root = service.store(here) / "zarr.json"
+        for read in ("diagram?omega=0.5&xi=0.05", "zarr/zarr.json"):
+            root.unlink()
+            assert service.client.get(f"{here}/{read}").status_code == 503
+        assert [answer.json() for answer in service.answers(here, SWEEP)] == answers
+
+
 @pytest.mark.parametrize("content", [b'{"zarr_format": 3', None])
 def test_damaged_metadata_is_repaired_without_computing(tmp_path: Path, content: bytes | None):
     with running(tmp_path) as service:
