@@ -157,7 +157,7 @@ def _verify(
             if done:
                 repair_metadata(ledger, job, prepared)
         damaged = find_damage(prepared, done) if done else []
-    except (store.StoreError, LedgerUnusable) as error:
+    except (store.StoreError, LedgerUnusable, OSError) as error:
         return f"{job.id}: {error}", False
     if not damaged:
         return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True

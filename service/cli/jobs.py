@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args
@@ -224,25 +225,33 @@ def watch(client: "Client", interval: float) -> None:
     from rich.text import Text
 
     from service.cli import output
+    from service.client import errors
 
     console = Console()
     unfinished: set[str] = set()
     ended: dict[str, Job] = {}
 
     def jobs() -> "list[Job]":
-        listed = [*client.jobs("running"), *client.jobs("queued")]
-        for id in unfinished - {job.id for job in listed}:
-            ended[id] = client.job(id)
-        return [*listed, *ended.values()]
+        queued = {job.id: job for job in client.jobs("queued")}  # before those that begin meanwhile
+        running = {job.id: job for job in client.jobs("running")}
+        listed = running | queued | running
+        for id in unfinished - listed.keys():
+            with suppress(errors.NotFound):  # deleted
+                ended[id] = client.job(id)
+        return [*listed.values(), *(job for id, job in ended.items() if id not in listed)]
 
     if not console.is_terminal:
         click.echo(output.job_table(jobs()))
         return
     with Live(console=console, auto_refresh=False) as live:
         while True:
-            now = jobs()
-            live.update(Text(output.job_table(now)), refresh=True)
-            unfinished = {job.id for job in now if not job.finished}
+            try:
+                now = jobs()
+                shown = output.job_table(now)
+                unfinished = {job.id for job in now if not job.finished}
+            except errors.ServiceUnreachable as error:  # it may come back
+                shown = str(error)
+            live.update(Text(shown), refresh=True)
             time.sleep(interval)
 
 

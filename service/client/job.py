@@ -194,11 +194,17 @@ class Job(ResultReader, ResultMethods, JobStatus):
         ------
         Busy
             The service has too many listeners.
+        NotFound
+            The job was deleted.
         ServiceUnreachable
             The connection broke.
         """
-        for _ in self._transport.events(self._path("events")):
-            yield self.refresh()
+        while True:
+            for _ in self._transport.events(self._path("events")):
+                yield self.refresh()
+            if self.finished:
+                return
+            self.refresh()  # the job was deleted, or the service stopped
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).

@@ -43,8 +43,9 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
     same = (name for name in unknown if named in (id_of(name), name.removesuffix(".zarr")))
     name = next(same, f"{named}.zarr")
     url = settings.store_of(name)
+    known = NotAdoptable(f"{url}: the ledger knows this job; delete it to adopt another store of it")
     if ledger.find(job_id) is not None:
-        raise NotAdoptable(f"{url}: the ledger knows this job; delete it to adopt another store of it")
+        raise known
     try:
         job, spec, plan, choice = _contents(url, job_id)
     except (store.StoreError, SpecError, LookupError, TypeError, ValueError, RecursionError) as error:
@@ -54,6 +55,8 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
     reports = _whole_chunks(url, spec, plan)
     summary = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
+        if writing.find(job_id) is not None:
+            raise known
         writing.adopt(job, name, reports, choice, time.time(), f"adopted: {summary}; resume it for the rest")
         adopted = writing.find(job_id)
     assert adopted is not None

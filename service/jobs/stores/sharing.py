@@ -14,7 +14,7 @@ from typing import Any, Final
 from pydantic import TypeAdapter
 
 from kernel.params import KERNEL_VERSION
-from service.errors import IllegalTransition, InvalidRequest
+from service.errors import IllegalTransition, InvalidRequest, NotAdoptable
 from service.jobs.stores.adoption import adopt
 from service.jobs.stores.opening import find_unknown, id_of
 from service.ledger.ledger import Ledger
@@ -98,6 +98,9 @@ def import_shared(
     try:
         store.restore(url, files, layout)
         job = adopt(ledger, settings, name)
+    except NotAdoptable as error:
+        store.remove(url)
+        raise IllegalTransition("the sweep of this file was submitted meanwhile: import it again") from error
     except BaseException:
         store.remove(url)
         raise

@@ -199,6 +199,16 @@ def test_an_error_of_the_connection_is_one_sentence(unused_address: str):
         client.job(ID)
 
 
+def test_what_is_followed_is_no_finished_job_where_its_events_only_end():
+    """The service has stopped, or the job was deleted."""
+    for after in (LOST, Answer(404, {"title": "Not Found", "status": 404, "detail": "no job"})):
+        events = Answer(200, b"event: progress\ndata: {}\n\n", Content_Type="text/event-stream")
+        with scripted(Answer(body=view()), events, Answer(body=view()), after) as (_, client):
+            job = client.job(ID)
+            with pytest.raises(ServiceUnreachable if after is LOST else NotFound):
+                list(job.follow())
+
+
 def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch):
     """Zeros in a thousandth of their size, as an answer and as a refusal; and an event without an end."""
     monkeypatch.setattr("service.client.transport.MAX_ANSWER_BYTES", 2**21)
