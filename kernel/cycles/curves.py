@@ -358,8 +358,9 @@ def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
 
 def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
     """The points, each once, by kind and parameter."""
+    order = list(_POINTS_WHERE)
     once: list[tuple[Kind, float, float]] = []
-    for kind, t, p in sorted(points, key=lambda x: (list(Kind).index(x[0]), x[2], x[1])):
+    for kind, t, p in sorted(points, key=lambda x: (order.index(x[0]), x[2], x[1])):
         if not any(k is kind and abs(t - a) < _SAME and abs(p - b) < _SAME for k, a, b in once):
             once.append((kind, t, p))
     return join_events([plane.event(kind, t, p) for kind, t, p in once])

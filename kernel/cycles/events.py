@@ -120,15 +120,17 @@ class Events(NamedTuple):
 
 Record = TypeVar("Record", bound=NamedTuple)
 
-#: The functions whose roots are events, in the order of `_tests`: all kinds but those of codimension 2.
-KINDS: Final = tuple(Kind)[:-3]
-_OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
-
-#: The index of the function after them: it is zero where Gamma is infinite.
-_POLES: Final = len(KINDS)
+#: Kinds at which a multiplier crosses the unit circle. They depend on the flight time alone.
+CROSSINGS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
 
 #: Kinds at which an orbit stops being admissible.
-EDGES: Final = KINDS[_OF_THE_TIMES:]
+EDGES: Final = (Kind.IMMEDIATE_TAKEOFF, Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT)
+
+#: The kinds along a branch, in the order of `_tests`.
+KINDS: Final = (*CROSSINGS, *EDGES)
+
+#: The index of the function that follows in `_tests`: it is zero where Gamma is infinite.
+_POLES: Final = len(KINDS)
 
 
 def check_spring(omega: float, xi: float, periods: int) -> None:
@@ -205,7 +207,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         nodes = sampled(k, periods)
         checked = check(k, periods, t, x, nodes)
         zeros = roots(lambda times: _tests(k, periods, times)[:2], t, value, slope)
-        grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= _OF_THE_TIMES])
+        grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= len(CROSSINGS)])
         f = floquet(k, periods, zeros.x)
         torus = (zeros.which != KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
         torus &= zeros.which != _POLES
@@ -229,7 +231,8 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         times = times[np.hypot(x.c, x.s) < below]
         if not len(times):
             return join_events([])
-        return _events(k, periods, np.zeros(len(times), np.intp), times, sampled(k, periods))
+        which = np.full(len(times), KINDS.index(Kind.FOLD))
+        return _events(k, periods, which, times, sampled(k, periods))
 
 
 def rows_of(record: Record, which: Any) -> Record:
@@ -295,7 +298,7 @@ def _events(k: Spring, periods: int, which: Ints, t: Floats, nodes: Samples) -> 
     keep = np.flatnonzero(gamma < _POLE)
     keep = keep[np.lexsort((t[keep], which[keep]))]
     which, t, x = which[keep], t[keep], Orbit(*(a[keep] for a in x))
-    checked = check(k, periods, t, x, nodes, np.where(which < _OF_THE_TIMES, 0.0, GRAZES))
+    checked = check(k, periods, t, x, nodes, np.where(which < len(CROSSINGS), 0.0, GRAZES))
     return events_of([KINDS[i] for i in which], _branch(k, periods, t, x, checked.reason))
 
 
