@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import (
-    Followed,
     both_ways,
     branches,
     branches_at,
@@ -21,9 +20,9 @@ from kernel.cycles.any_contact import (
 )
 from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
-from kernel.cycles.cycles import Cycles, Point, confirmed, cycle_from
+from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from
 from kernel.cycles.events import Branch, Events, Kind, join_events
-from kernel.cycles.follow import RANGE, End, Event, ahead, follow, happens
+from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, follow, happens
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
@@ -113,7 +112,7 @@ def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> l
         first = doubled(flip) if len(new) < MAX_BRANCHES else None
         if first is None or any(lies_on(first, line) for line in lines + new):
             continue
-        line = Followed(*up_to_shorter(*follow(first, 0.0, points=points, span=span)))
+        line = up_to_shorter(follow(first, 0.0, points=points, span=span))
         # beside the flip its two branches are too close to tell
         middle = line.points[len(line.points) // 2]
         if not any(lies_on(middle, other) for other in lines + new):
@@ -309,10 +308,7 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
         if not abs(b) < _FAR:
             return None
         point = ahead(node, b)
-    if point is None or not happens(kind, point):
-        return None
-    point, broken = confirmed(point)
-    return point if broken is None else None
+    return admissible(point) if point is not None and happens(kind, point) else None
 
 
 def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:
