@@ -96,7 +96,7 @@ def block(spec: SweepSpec, cells: int) -> tuple[int, ...]:
     if spec.ramp_axis:
         # all lanes, or one vector of them if there are few lines
         at_once = cells_at_once(spec)
-        at_once = at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
+        at_once = at_once if spec.lines >= LINES_TO_FILL else min(at_once, LANES // 2)
         n = grid.pop(spec.ramp_axis)
         length = _up(even(n, max(1, cells // at_once)), n, halved)
         size, cells = {spec.ramp_axis: length}, cells // length
@@ -209,13 +209,7 @@ def cells_at_once(spec: SweepSpec) -> int:
     """Cells, or lines of a ramp, that the kernel computes side by side: fewer leave lanes idle."""
     if not spec.model.in_lanes or spec.exponents:
         return 1
-    return LANES if spec.ramp_axis is None else min(LANES, lines_of(spec))
-
-
-def lines_of(spec: SweepSpec) -> int:
-    """Lines of a ramp, both directions counted once."""
-    _, *grid = spec.shape
-    return math.prod(grid) // len(spec.axis_values(spec.ramp_axis)) if spec.ramp_axis else math.prod(grid)
+    return LANES if spec.ramp_axis is None else min(LANES, spec.lines)
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:
