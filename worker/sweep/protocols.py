@@ -72,8 +72,8 @@ class Ramp(Strict):
     def _plain(self, default: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Omit a start from rest: ids of jobs made before the field existed must not change."""
         plain: dict[str, Any] = default(self)
-        if plain["start"] is None:
-            del plain["start"]
+        if self.start is None:
+            plain.pop("start", None)
         return plain
 
 
