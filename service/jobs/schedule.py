@@ -182,7 +182,7 @@ class Schedule:
         return None
 
     def _placed(self, job: Job, is_turn: bool, active: Mapping[str, Job], starting: int) -> Next | None:
-        """A job with a place in memory, or None. An idle job with more left leaves; for a turn any idle job."""
+        """A job with a place in memory, or None. An idle job with more left leaves; for a turn any idle."""
         if job.id in active or len(active) + starting < self._active_jobs:
             return Next(job, is_turn)
         idle = [other for other in active.values() if other.is_idle and other.may_submit]

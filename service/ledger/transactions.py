@@ -21,18 +21,18 @@ from service.ledger.search import EVERY_JOB, JobSearch, Position
 from service.software import with_this_run
 from worker.study import ChunkReport
 
-#: Recent jobs whose speed counts, and maximum characters of their specifications.
+#: Number of recent jobs whose speed counts, and limit on the characters of their specifications.
 RECENT_JOBS: Final = 20
 RECENT_CHARS: Final = 20_000
 
-#: Answers of one result kept for each job.
+#: Answers of a result that are kept for each job.
 ANSWERS: Final = 16
 
 Column = str | bytes | float | bool | None
 
 
 class Unfinished(NamedTuple):
-    """What the supervisor reads about an unfinished job at every sync."""
+    """An unfinished job, as the supervisor reads it at every sync."""
 
     id: str
     cancel_requested: bool
@@ -72,7 +72,7 @@ class ReadTransaction:
     def search(
         self, search: JobSearch = EVERY_JOB, limit: int = -1, after: Position | None = None
     ) -> list[JobRecord]:
-        """The first `limit` jobs of a search behind a position, in its order; by default all jobs."""
+        """The first `limit` jobs of a search after a position, in its order; by default all jobs."""
         where, values = search.where(after)
         sql = f"SELECT * FROM jobs {where} {search.order_by} LIMIT ?"
         return [_record(row) for row in self._rows(sql, *values, limit)]
@@ -95,7 +95,7 @@ class ReadTransaction:
         return int(chunks), int(cells)
 
     def unfinished(self, limit: int) -> list[Unfinished]:
-        """Running jobs, then queued ones, each in the order they were accepted."""
+        """Up to `limit` unfinished jobs: running, then queued ones, each in the order they were accepted."""
         sql = (
             "SELECT id, cancel_requested, seq, chunks_done, chunks_total, owner FROM jobs"
             " WHERE state IN (?, ?) ORDER BY state = ?, seq LIMIT ?"
@@ -103,7 +103,7 @@ class ReadTransaction:
         return [Unfinished(*row) for row in self._rows(sql, *UNFINISHED, JobState.QUEUED, limit)]
 
     def unfinished_record(self, job: JobRecord) -> JobRecord | None:
-        """The job as it is now; None if it has ended or was deleted, and perhaps accepted again."""
+        """The job as it is now; None if it has ended, or was deleted, even if it was accepted again."""
         current = self.find(job.id)
         same = current is not None and current.seq == job.seq and current.state in UNFINISHED
         return current if same else None
@@ -119,14 +119,14 @@ class ReadTransaction:
         return [row[0] for row in self._rows(sql, KERNEL_VERSION)]
 
     def newest_seq(self) -> int:
-        """The number of the last job ever accepted, deleted ones included; 0 if there was none."""
+        """The number of the last job ever accepted, even if it was deleted; 0 if there was none."""
         row = self._row("SELECT seq FROM sqlite_sequence WHERE name = 'jobs'")
         return int(row[0]) if row else 0
 
     def key(self, key: str) -> str | None:
-        """The fingerprint of the body with which an idempotency key was used, if it is remembered.
+        """The fingerprint of the body with which an idempotency key was used; None if it is not remembered.
 
-        Keys of outdated jobs do not count: the same request now makes another job.
+        Keys of outdated jobs do not count, because the same request now makes another job.
         """
         sql = "SELECT body FROM keys JOIN jobs ON job = seq WHERE key = ? AND kernel_version = ?"
         row = self._row(sql, key, KERNEL_VERSION)
@@ -135,7 +135,7 @@ class ReadTransaction:
     def measured(self) -> list[JobRecord]:
         """The last RECENT_JOBS with measured times and a specification of at most RECENT_CHARS.
 
-        Only for this release's kernel, as versions differ in speed. Times of adopted chunks are unknown.
+        Only jobs of this release's kernel, as versions differ in speed. Times of adopted chunks are unknown.
         """
         sql = (
             "SELECT * FROM jobs WHERE cells_timed > 0 AND length(spec) <= ? AND kernel_version = ?"
@@ -155,14 +155,14 @@ class ReadTransaction:
     # Answers
 
     def answer(self, job: JobRecord, name: str, query: str) -> list[Any] | None:
-        """What workers computed for a result of the job; None if it is not kept."""
+        """The kept answer of workers for a result of the job; None if there is none."""
         row = self._row(
             "SELECT parts FROM answers WHERE job = ? AND name = ? AND query = ?", job.seq, name, query
         )
         return None if row is None else json.loads(row[0])
 
     def sentence(self, job: JobRecord, name: str) -> str | None:
-        """What the last such answer says in words."""
+        """The sentence of the last answer kept for a result; None if there is none."""
         row = self._row(
             "SELECT sentence FROM answers WHERE job = ? AND name = ? ORDER BY id DESC", job.seq, name
         )
@@ -191,7 +191,7 @@ class WriteTransaction(ReadTransaction):
     """Changes the ledger, within one transaction."""
 
     def _do(self, sql: str, *values: Column) -> int:
-        """The number of rows that a statement has changed."""
+        """Execute a statement; the number of rows that it has changed."""
         return self._sql.execute(sql, values).rowcount
 
     def _insert(self, table: str, *values: Column, otherwise: str = "REPLACE") -> bool:
@@ -202,7 +202,7 @@ class WriteTransaction(ReadTransaction):
     # Jobs
 
     def insert(self, job: NewJob, now: float, store: str | None = None) -> None:
-        """Accept a job; its store has the given name, or one that no other job ever had."""
+        """Accept a job. Its store has the given name, or one that no other job ever had."""
         columns = {field.name: getattr(job, field.name) for field in fields(NewJob)}
         columns |= {"chunk_shape": json.dumps(job.chunk_shape), "state": JobState.QUEUED, "created": now}
         marks = ", ".join("?" * len(columns))
@@ -211,29 +211,29 @@ class WriteTransaction(ReadTransaction):
         self._do(sql, store, job.id)
 
     def continue_after(self, seq: int) -> None:
-        """Number the next jobs beyond `seq`, also where this ledger has counted less far."""
+        """Give the next jobs numbers above `seq`, even if this ledger has not counted that far."""
         if seq > self.newest_seq():
             self._do("DELETE FROM sqlite_sequence WHERE name = 'jobs'")
             self._do("INSERT INTO sqlite_sequence VALUES ('jobs', ?)", seq)
 
     def queue(self, job: JobRecord, owner: str | None) -> None:
-        """Resume a failed or cancelled job, which then belongs to `owner`; its done chunks are kept."""
+        """Resume a failed or cancelled job, which then belongs to `owner`. Its done chunks are kept."""
         self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False, owner=owner)
         self._do("DELETE FROM failures WHERE job = ?", job.seq)
 
     def run(self, job: JobRecord, now: float) -> None:
-        """Start the job, or continue it after a restart of the service."""
+        """Start a job, or continue it after a restart of the service."""
         if job.state is not JobState.RUNNING:
             check_transition(job.state, JobState.RUNNING)
         runs, first = with_this_run(job.runs, now), job.started or now
         self.update(job, state=JobState.RUNNING, started=first, progressed=None, seconds_left=None, runs=runs)
 
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
-        """End the job as done, failed or cancelled."""
+        """End a job as done, failed or cancelled."""
         self._move(job, state, finished=now, error=error, cancel_requested=False)
 
     def end(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> bool:
-        """Finish an unfinished job; False if it continues after all."""
+        """End an unfinished job; False if it must continue after all."""
         current = self.unfinished_record(job)
         if current is None:
             return True
@@ -262,7 +262,7 @@ class WriteTransaction(ReadTransaction):
         now: float,
         error: str,
     ) -> None:
-        """Insert a job with stored results: done if `reports` has every chunk, else failed."""
+        """Insert a job with stored results: done if `reports` has every chunk, else failed with `error`."""
         self.insert(job, now, store)
         record = cast(JobRecord, self.find(job.id))
         complete = len(reports) == job.chunks_total
@@ -273,13 +273,13 @@ class WriteTransaction(ReadTransaction):
     def delete(self, job: JobRecord) -> None:
         """Forget a job, its keys, and its role as a replacement; record that its store must be removed.
 
-        Its chunks are forgotten later, see `forget_deletion`: there may be a million.
+        `forget_deletion` forgets its chunks, as there may be a million.
         """
         self._do("DELETE FROM jobs WHERE seq = ?", job.seq)
         self._do("INSERT INTO deletions (job, store) VALUES (?, ?)", job.seq, job.store)
 
     def delete_again(self, job: JobRecord) -> bool:
-        """Have a deleted job's store removed once more; False if the job is not deleted."""
+        """Have the store of a deleted job removed again; False if the job is not deleted."""
         sql = (
             "INSERT INTO deletions (job, store) SELECT ?, ?"
             " WHERE NOT EXISTS (SELECT 1 FROM jobs WHERE seq = ?)"
@@ -287,7 +287,7 @@ class WriteTransaction(ReadTransaction):
         return self._do(sql, job.seq, job.store, job.seq) == 1
 
     def forget_deletion(self, deletion: Deletion, limit: int) -> bool:
-        """Forget at most `limit` chunks of a deleted job, then its deletion; whether all is forgotten."""
+        """Forget at most `limit` chunks of a deleted job, at last its deletion; whether all is forgotten."""
         sql = "DELETE FROM chunks WHERE job = ? AND chunk IN (SELECT chunk FROM chunks WHERE job = ? LIMIT ?)"
         if self._do(sql, deletion.job, deletion.job, limit) == limit:
             return False
@@ -299,7 +299,7 @@ class WriteTransaction(ReadTransaction):
         self._insert("keys", key, body, job.seq, now)
 
     def keep_answer(self, job: JobRecord, name: str, query: str, parts: list[Any], sentence: str) -> None:
-        """Keep what workers computed for a result of the job; of one result the last ANSWERS."""
+        """Keep the answer of workers for a result of the job, and only the last ANSWERS of the result."""
         sql = "INSERT OR REPLACE INTO answers (job, name, query, parts, sentence) VALUES (?, ?, ?, ?, ?)"
         self._do(sql, job.seq, name, query, json.dumps(parts), sentence)
         last = "SELECT id FROM answers WHERE job = ? AND name = ? ORDER BY id DESC LIMIT ?"
@@ -329,7 +329,7 @@ class WriteTransaction(ReadTransaction):
     def mark_done(
         self, job: JobRecord, reports: Iterable[ChunkReport], seconds_left: float | None = None
     ) -> None:
-        """Mark stored chunks as done; marked ones stay as they are. `seconds_left`: until the job is done."""
+        """Mark stored chunks as done, unless they are marked. seconds_left: until the job is done."""
         marked = []
         for report in reports:
             outcomes = json.dumps(report.outcomes, separators=(",", ":"))
@@ -351,21 +351,18 @@ class WriteTransaction(ReadTransaction):
             self.update(job, progressed=time.time(), seconds_left=seconds_left)
 
     def note_paused(self, job: JobRecord, seconds: float) -> None:
-        """Add the time of slices after which chunks paused."""
+        """Add the seconds of slices after which chunks paused."""
         self._add(job, core_seconds=seconds)
 
     def unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
-        """Unmark chunks to compute them again; a done job runs again. Returns those that were marked."""
+        """Unmark chunks to compute them again; a done job then runs again. Returns the unmarked chunks."""
         unmarked = self._unmark(job, chunks)
         if unmarked and job.state is JobState.DONE:
             self._move(job, JobState.RUNNING)  # `finished` shows that it is being repaired
         return unmarked
 
     def lose(self, job: JobRecord, failures: Sequence[Failure]) -> list[int]:
-        """Give up damaged chunks of an outdated job, never to be computed again; a done job becomes failed.
-
-        Returns those that were marked.
-        """
+        """Give up damaged chunks of an outdated job; a done job then fails. Returns the lost chunks."""
         lost = self._unmark(job, [failure.chunk for failure in failures])
         if lost:
             self.note_failures(job, [failure for failure in failures if failure.chunk in lost])
@@ -379,7 +376,7 @@ class WriteTransaction(ReadTransaction):
             self._insert("failures", job.seq, *failure)
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
-        """Unmark chunks; returns those that were marked."""
+        """Unmark chunks. Returns those that were marked."""
         sql = "DELETE FROM chunks WHERE job = ? AND chunk = ? RETURNING chunk, cells, outcomes, computed"
         unmarked: list[sqlite3.Row] = []
         for chunk in chunks:
@@ -395,7 +392,7 @@ class WriteTransaction(ReadTransaction):
 
 
 def _settling(outcomes: Sequence[int]) -> int:
-    """Number of settling cells among those counted by outcome; other studies have fewer outcomes."""
+    """Number of settling cells, from counts by outcome; some studies have fewer outcomes."""
     return sum(outcomes[Outcome.SETTLING : Outcome.SETTLING + 1])
 
 

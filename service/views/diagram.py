@@ -98,7 +98,7 @@ def _line(
 
 
 def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, NDArray[Any]]:
-    """The variables with the flights that are not shown as NaN."""
+    """The variables, with NaN for flights outside the window and of hidden cells."""
     times, low, high = arrays["flight_time"], query.flight_start, query.flight_stop
     shown = (times >= (-np.inf if low is None else low)) & (times <= (np.inf if high is None else high))
     if query.hide is not None:
@@ -107,7 +107,7 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
 
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
-    """All flights that the line can have. Raises InvalidRequest for a line that the sweep does not have."""
+    """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
     selection.fixed_axes(spec, query.along, dict(query))
     selection.check_order(query, "flight_start", "flight_stop")
     directions = selection.directions_of(spec, query.direction)
@@ -118,7 +118,7 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
 
 
 def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
-    """How the cells were computed and which of them are shown."""
+    """How the cells were computed, and which of them are shown."""
     attrs, outcome = result.attrs, result.variables["outcome"].values
     [way, *other] = np.atleast_1d(result.direction.values)
     ramped = "ramped" if other else f"ramped {way}"
@@ -130,16 +130,16 @@ def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
     codes = result.variables[selection.LABEL.name if selection.LABEL.name in result else "outcome"].values
     special = (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC, UNSTABLE)
     counts = {code: int(np.count_nonzero(codes == code)) for code in special}
-    told_apart = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
-    return f"{CONTACT_MODELS[spec.model.kind].label}, {start}{flights}{thinned}{unresolved}{told_apart}"
+    labelled = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
+    return f"{CONTACT_MODELS[spec.model.kind].label}, {start}{flights}{thinned}{unresolved}{labelled}"
 
 
-#: Inches.
+#: Size of the picture, inches.
 SIZE: Final = (8.6, 4.2)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Flight times along the axis. The picture says how many cells are missing."""
+    """Draw the flight times along the axis, and write how many cells are missing."""
     axes = figure.subplots()
     draw_diagram(axes, result)
     set_scales(axes, result)

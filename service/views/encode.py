@@ -1,4 +1,4 @@
-"""A Dataset as bytes: JSON, binary, NetCDF, CSV, Parquet, or a picture. Knows no result by name."""
+"""Encodes a Dataset as JSON, binary, NetCDF, CSV, Parquet or a picture. Knows no result by name."""
 
 import csv
 import io
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
-#: A row group of Parquet is written once it has as many rows or bytes: large enough to be read fast, small
-#: enough to be skipped, and held in memory until then.
+#: Rows or bytes with which a row group of Parquet is written: large enough to be read fast, small enough to
+#: be skipped and held in memory.
 GROUP_ROWS: Final = 2**17
 GROUP_BYTES: Final = 16 * 2**20
-#: The most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
+#: Most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
 COLUMNS: Final = 8
 #: Arrays begin at a multiple of this many bytes, as typed arrays of a browser require.
 ALIGNMENT: Final = 8
@@ -38,7 +38,7 @@ def to_json(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
 
 
 def _for_json(values: NDArray[Any]) -> Any:
-    """What stands for an array that orjson refuses: text, a scalar, one that is not contiguous or native."""
+    """Replace an array that orjson refuses: a text, a scalar, or one that is not contiguous or native."""
     if values.ndim == 0 or values.dtype.kind in "UOT":
         return values.tolist()
     return np.ascontiguousarray(values, values.dtype.newbyteorder("="))
@@ -47,8 +47,8 @@ def _for_json(values: NDArray[Any]) -> Any:
 def to_binary(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
     """A line with the JSON document, then the arrays, little-endian.
 
-    In place of its data an array has {"offset", "shape"}, the offset in bytes from the end of the line.
-    Scalars and texts stay in the line.
+    In the document the data of an array are {"offset", "shape"}, the offset in bytes from the end of the
+    line. Scalars and texts stay in the line.
     """
     arrays: list[bytes] = []
     end = 0
@@ -71,7 +71,7 @@ def _aligned(size: int) -> int:
 
 
 def _document(dataset: xarray.Dataset, data: Callable[[NDArray[Any]], Any]) -> dict[str, Any]:
-    # Through `variables`: a DataArray takes fifty times as long to make.
+    # from `variables`, as making a DataArray takes fifty times as long
     def described(names: Iterable[Any]) -> dict[str, Any]:
         return {
             str(name): {"dims": v.dims, "attrs": v.attrs, "dtype": _dtype(v.dtype), "data": data(v.values)}
@@ -99,7 +99,7 @@ def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
 
 
 def with_flags(attrs: Mapping[Any, Any], dtype: Any) -> dict[Any, Any]:
-    """Attributes as CF wants them: flag values have the type of their variable."""
+    """Attributes as CF requires: flag values have the type of their variable."""
     return {name: np.array(x, dtype) if isinstance(x, list) else x for name, x in attrs.items()}
 
 
@@ -115,7 +115,7 @@ def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:
 
 
 def _texts(values: NDArray[Any]) -> list[Any]:
-    """What a line of CSV shows of each value."""
+    """The values for lines of CSV, with empty texts for NaN."""
     if values.dtype.kind == "f" and (missing := np.isnan(values)).any():
         values = np.where(missing, "", values.astype(object))
     return list(values.tolist())
@@ -146,11 +146,11 @@ def write_parquet(target: Any, batches: Iterator[Any], attributes: Mapping[Any, 
             for group in _groups(chain([first], batches)):
                 file.write_table(pa.Table.from_batches(group).cast(schema), row_group_size=GROUP_ROWS)
     finally:
-        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
+        pa.default_memory_pool().release_unused()  # else it keeps it for its next arrays
 
 
 def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
-    """The batches in groups that are large enough, the last one perhaps not."""
+    """The batches in groups that are large enough, except perhaps the last."""
     group: list[Any] = []
     rows = size = 0
     for batch in batches:
@@ -164,7 +164,7 @@ def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
 
 
 def record_batch(columns: Mapping[str, Any]) -> Any:
-    """The columns as a `pyarrow.RecordBatch`; objects are texts, also where there are none."""
+    """The columns as a `pyarrow.RecordBatch`; columns of objects are texts, even without rows."""
     import pyarrow as pa
 
     objects = {name: x for name, x in columns.items() if isinstance(x, np.ndarray) and x.dtype.kind == "O"}
@@ -176,15 +176,15 @@ TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_p
 ENCODERS: Final = {**DATASETS, **TABLES}
 
 
-#: The rows of a table among all places of the variable that has them.
+#: The rows of a table: which places of the variable that defines them.
 Rows = NDArray[Any] | slice
 
 
 def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[str, Any]]:
-    """One row for each number of the variable `rows`, NaN left out, some thousand at a time.
+    """Tables with one row for each number of the variable `rows`, without NaN, some thousand rows each.
 
     Columns are the coordinates and the variables over dimensions of `rows`, as arrays. A variable with a
-    further dimension is a column of lists, a `pyarrow.ListArray`, or without `lists` one column for each
+    further dimension is a column of lists, a `pyarrow.ListArray`; without `lists`, one column for each
     position along it. Codes appear as their `flag_meanings`.
     """
     dims = tuple(map(str, dataset.variables[rows].dims))
@@ -238,7 +238,7 @@ def _column(
 
 
 def _list_column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Any:
-    """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
+    """The numbers of each row along the other dimensions, in lists; flights without the NaN at the end."""
     import pyarrow as pa
 
     rows = _repeated(part, variable.dims, variable.values, dims)[kept]
@@ -255,23 +255,23 @@ def _list_column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[st
 def _repeated(
     part: xarray.Dataset, own: tuple[Any, ...], values: NDArray[Any], dims: tuple[str, ...]
 ) -> NDArray[Any]:
-    """`values` over the dimensions `own`: one entry, or one array, for each row of all `dims`."""
+    """Values over the dimensions `own`, as one entry or one array for each row of all `dims`."""
     extra = [dim for dim in own if dim not in dims]
     variable: Any = xarray.Variable(own, values)
     wide = variable.set_dims({dim: part.sizes[dim] for dim in (*dims, *extra)})
     return np.asarray(wide.values.reshape(prod(wide.shape[: len(dims)]), *wide.shape[len(dims) :]))
 
 
-#: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
+#: The one thread that draws: matplotlib's settings belong to the process, its open font files to the thread.
 _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 
 
 def picture(
     size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Mapping[str, str]
 ) -> bytes:
-    """The bytes of a picture that `draw` draws, the same for the same drawing; `size` is in inches.
+    """The bytes of a picture; the same drawing gives the same bytes.
 
-    `origin`: job, specification and versions by name, for the file's metadata.
+    size: inches. origin: job, specification and versions by name, for the file's metadata.
     """
     return _THREAD.submit(_picture, size, draw, format, origin).result()
 

@@ -1,9 +1,9 @@
-"""The attractors of a stored study of multistability, matched over the plane of one xi.
+"""The attractors of a stored study of multistability, matched over the plane at one xi.
 
-Along gamma, two attractors of neighbouring cells are one if each leads to the other. What is one along a line
-is a branch. Branches of neighbouring lines are one attractor if, in most cells, mode and longest flight,
-within NEAR, agree best, as long as no attractor is twice in a cell. Attractors are numbered from 1 by their
-cells, those with most first.
+Along gamma, two attractors of neighbouring cells are the same if each leads to the other. They form a branch.
+In each cell, branches of neighbouring lines match if they have the same mode, and the nearest longest flights
+within NEAR. Branches that match in most cells join first, unless an attractor would be twice in a cell.
+Attractors are numbered from 1 by their number of cells.
 """
 
 from collections import Counter
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Cells of one answer, and bytes of memory of each while they are matched.
+#: Limit on the cells of an answer, and bytes of memory of each while they are matched.
 MAX_CELLS: Final = 2**16
 _PER_CELL: Final = 4096
 
-#: Cycles of neighbouring lines may be one attractor if their longest flights differ by at most this, rad.
+#: Cycles of neighbouring lines match only if their longest flights differ by at most this, rad.
 NEAR: Final = 1.0
 
 _PLANE: Final = ("omega", "gamma")
@@ -42,7 +42,7 @@ _NAMES: Final = (
 )  # fmt: skip
 _OF_PLACES: Final = ("fraction", "longest_flight", "flight_time")
 
-#: The variables; those of a place are of an attractor of a cell.
+#: The variables. A place is that of an attractor in a cell.
 _ROWS: Final = (
     row("count", (), "<i4", "attractors of the cell", comment="-1: not computed"),
     row("id", ("place",), "<i4", "attractor of the plane", comment="0: none"),
@@ -123,7 +123,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
 
 
 def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
-    """The plane or the line. Raises InvalidRequest as `nearest_index`, TooLarge for more than MAX_CELLS."""
+    """The plane or the line. Raises InvalidRequest as `nearest_index`, and TooLarge above MAX_CELLS."""
     nearest_index(spec, "xi", query.xi)
     _, omegas, gammas = spec.shape
     if omegas * gammas > MAX_CELLS:
@@ -139,7 +139,7 @@ def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
 
 
 def _share(cells: NDArray[np.bool_]) -> float:
-    """Share of the computed cells; NaN if none is computed."""
+    """Share of the computed cells for which `cells` holds; NaN if none is computed."""
     return float(np.mean(cells)) if cells.size else np.nan
 
 
@@ -158,7 +158,10 @@ def _ids(arrays: _Arrays) -> NDArray[np.int64]:
 
 
 def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> NDArray[np.int64]:
-    """Of each branch, the first branch of its attractor. Pairs join by votes, unless they share a cell."""
+    """For each branch the first branch of its attractor. Pairs with most votes join first.
+
+    Branches that share a cell do not join.
+    """
     cells: list[set[int]] = [set() for _ in range(int(branch.max(initial=-1)) + 1)]
     members = [[number] for number in range(len(cells))]
     owner = np.arange(len(cells))
@@ -190,7 +193,7 @@ def _branches(arrays: _Arrays) -> NDArray[np.int64]:
 
 
 def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int], int]:
-    """In how many cells branches of neighbouring lines are nearest to each other."""
+    """For pairs of branches of neighbouring lines, the number of cells in which they match."""
     votes: Counter[tuple[int, int]] = Counter()
     there = branch >= 0
     for i in range(1, len(branch)):
@@ -201,7 +204,7 @@ def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int
 
 
 def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
-    """Pairs of attractors of the cells (i, j) and (i - 1, j): of one mode, the nearest flights first."""
+    """Matching attractors of the cells (i, j) and (i - 1, j): of the same mode, nearest flights first."""
     longest = arrays["longest_flight"]
     pairs = sorted(
         (abs(float(longest[i, j, k] - longest[i - 1, j, before])), k, before)
@@ -219,7 +222,7 @@ def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Itera
 
 
 def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:
-    """What every stored attractor does; empty where there is none."""
+    """The label of every stored attractor; empty where there is none."""
     labels, there = np.full(ids.shape, "", object), ids > 0
     modes = zip(*(arrays[name][there].tolist() for name in _MODE), strict=True)
     labels[there] = [attractor_label(*mode) for mode in modes]
@@ -236,7 +239,7 @@ def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int,
 def _events(
     spec: MultistabilitySpec, arrays: _Arrays, ids: NDArray[np.int64], labels: Any, rows: slice
 ) -> Iterator[tuple[Any, ...]]:
-    """Births, deaths and changes of mode between computed cells of some lines, as _OF_EVENTS."""
+    """Births, deaths and changes of mode between computed cells of the lines `rows`, as _OF_EVENTS."""
     computed = arrays["outcome"] != Outcome.MISSING
     omega, gamma = (spec.axis_values(axis).tolist() for axis in _PLANE)
     for i in range(len(omega))[rows]:
@@ -262,12 +265,12 @@ def _events(
 COUNTS: Final[tuple[str, ...]] = tuple(pictures.PALETTE["attractor_counts"])
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
-#: Colours by id: none, one of their own for those with most cells, and that of all others.
+#: Colours by id: for none, for the attractors with most cells, and for all others.
 _BY_ID: Final = (pictures.UNDECIDED, *pictures.ATTRACTORS, pictures.OTHER_ATTRACTORS)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Two maps, of the number of attractors and of the one that most drops reach; of a line its flights."""
+    """Draw two maps, the number of attractors and the one that most drops reach; or the flights of a line."""
     if "flight_time" in result:
         _draw_line(result, figure.subplots())
         return
@@ -289,13 +292,11 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     right.set_xlabel(pictures.SYMBOLS["gamma"])
     left.set_title(f"attractors of a cell{share}", fontsize=11)
     right.set_title("the attractor that most drops reach", fontsize=11)
-    figure.suptitle(
-        f"{pictures.SYMBOLS['xi']} = {result.xi.item():g}  ({result.attrs['model']})", fontsize=11
-    )
+    figure.suptitle(f"{pictures.values_at(result, ['xi'])}  ({result.attrs['model']})", fontsize=11)
 
 
 def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
-    """The flights of each attractor in its colour, at 0 without any."""
+    """Draw the flights of each attractor in its colour; an attractor at rest has a point at 0."""
     ids, times = result.id.values[0], result.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(result.gamma.values[:, np.newaxis, np.newaxis], times.shape)
@@ -305,7 +306,7 @@ def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
         colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=size, markeredgewidth=0.0)
     axes.set(xlabel=pictures.SYMBOLS["gamma"], ylabel=pictures.FLIGHT)
-    values = ", ".join(f"{pictures.SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
+    values = pictures.values_at(result, ("omega", "xi"))
     axes.set_title(f"coexisting attractors, {values}  ({result.attrs['model']})", fontsize=11)
     _name_attractors(axes, result)
 

@@ -23,9 +23,9 @@ from worker.sweep.specification import EFFORTS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Shares of the cells of the grids that are compared.
+#: Parts of the sweep's cells that the compared grids have.
 PARTS: Final = (1.0, 1 / 4, 1 / 16, 1 / 64)
-#: The share of the plane that may be wrong where nothing else is asked for.
+#: By default, the share of the plane that may be wrong.
 TOLERANCE: Final = 0.05
 
 _ROWS: Final = (
@@ -54,12 +54,15 @@ class PlanQuery(Query):
 
     @property
     def kept(self) -> float | None:
-        """The tolerance."""
+        """The tolerance, or its default without a budget."""
         return TOLERANCE if self.tolerance is None and self.budget is None else self.tolerance
 
 
 def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int) -> list[Setting]:
-    """The settings that are compared, the most thorough first. Raises SpecInvalid."""
+    """The settings to compare, the most thorough first. Raises SpecInvalid.
+
+    cost: estimates a sweep. workers: number of workers that share the work.
+    """
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
         whole = _with_effort(spec, effort)
@@ -74,7 +77,7 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
 
 
 def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
-    """The pilot. Raises InvalidRequest for a ramp, whose cells depend on those before them, and TooLarge."""
+    """The pilot points. Raises InvalidRequest for a ramp, whose cells depend on each other, and TooLarge."""
     if settings[0].spec.ramp_axis is not None:
         rule = "must be rest: cells of a ramp depend on those before; compute it with a budget, or audit it"
         raise InvalidRequest.of("protocol.kind", rule)
@@ -121,7 +124,7 @@ def _effort(spec: SweepSpec) -> str:
 
 
 def draw(found: xarray.Dataset, axes: "Axes") -> None:
-    """The share wrong against the time of each setting, the frontier joined, the recommended one named."""
+    """Draw the share shown wrong over the time of each setting, with the frontier and the recommended one."""
     axes.set(xscale="log", xlabel="time (s)", ylabel="share of the plane shown wrong")
     order = np.argsort(found["seconds"].values)
     seconds, share, low, high = (found[name].values[order] for name in ("seconds", "share", "low", "high"))
@@ -131,9 +134,9 @@ def draw(found: xarray.Dataset, axes: "Axes") -> None:
     axes.plot(seconds[front], share[front], "o-", color=ATTRACTORS[0], markersize=5)
     for i in np.flatnonzero(found["recommended"].values):
         name = f"{found['effort'].values[i]}, {found['grid'].values[i]}"
-        at = (found["seconds"].values[i], found["share"].values[i])
-        axes.plot(*at, "o", color=ATTRACTORS[1], markersize=8)
-        axes.annotate(name, at, (0, 10), textcoords="offset points", ha="right", **TEXT)
+        point = (found["seconds"].values[i], found["share"].values[i])
+        axes.plot(*point, "o", color=ATTRACTORS[1], markersize=8)
+        axes.annotate(name, point, (0, 10), textcoords="offset points", ha="right", **TEXT)
     axes.set_ylim(bottom=0.0)
 
 
