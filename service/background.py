@@ -95,22 +95,22 @@ class Processes:
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
-        kept, client = 0, asker()
+        held, client = 0, asker()
         try:
             process = self._take()
             client.on_leave(process.stop)
-            succeeded, value, kept = process.call(function, arguments)
+            succeeded, value, held = process.call(function, arguments)
             client.on_leave(_do_nothing)
             if client.left:
                 raise EOFError("it was stopped")
         except (EOFError, OSError) as error:
-            kept = self._most_kept + 1
+            held = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
         except BaseException:  # such as an answer that cannot be unpickled: the pipe may hold the rest
-            kept = self._most_kept + 1
+            held = self._most_kept + 1
             raise
         finally:
-            self._put_back(process, kept)
+            self._put_back(process, held)
         if not succeeded:
             raise value
         result: Result = value
@@ -137,10 +137,10 @@ class Processes:
         self._started.add(process)
         return process
 
-    def _put_back(self, process: "_Process | None", kept: int) -> None:
+    def _put_back(self, process: "_Process | None", held: int) -> None:
         """Free the process, or the place of one that could not be started."""
         with self._changed:
-            if process is not None and kept <= self._most_kept and not self._closed:
+            if process is not None and held <= self._most_kept and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
                 if len(self._idle) > 1:
@@ -231,11 +231,11 @@ def _compute(connection: Connection) -> None:
         except (TypeError, AttributeError, pickle.PicklingError):
             connection.send((False, RuntimeError(f"cannot be sent: {answer[1]!r}")))
         del function, arguments, answer
-        kept = _bytes_held()
-        if kept > trimmed + MUCH:
+        held = _bytes_held()
+        if held > trimmed + MUCH:
             return_memory()
-            kept = trimmed = _bytes_held()
-        connection.send(kept)
+            held = trimmed = _bytes_held()
+        connection.send(held)
 
 
 def _end_with_parent() -> None:

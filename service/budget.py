@@ -92,7 +92,7 @@ def within(
     default now. known: steps of a level that may be complete.
     """
     began, answer = clock() if began is None else began, Answer()
-    asked, budget = budget, budget * (1.0 - END)
+    whole_budget, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second
@@ -118,7 +118,7 @@ def within(
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
-        enough = 2.0 * max(asked, took, LEAST, runner.seconds(part))
+        enough = 2.0 * max(whole_budget, took, LEAST, runner.seconds(part))
         raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s are left"

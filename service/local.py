@@ -230,10 +230,10 @@ def thresholds(omega: float, xi: float, **query: Any) -> xarray.Dataset:
     """
     use_cache()
     view = threshold.SPRING
-    asked = _query(view.query, {"omega": omega, "xi": xi, **query})
-    view.estimate(None, asked)
-    parts: Sequence[Call] = view.parts(None, asked) if view.parts else ()
-    return view.compute(None, asked, *(function(*given) for function, *given in parts))
+    spring = _query(view.query, {"omega": omega, "xi": xi, **query})
+    view.estimate(None, spring)
+    parts: Sequence[Call] = view.parts(None, spring) if view.parts else ()
+    return view.compute(None, spring, *(function(*given) for function, *given in parts))
 
 
 def partial_of(output: Path) -> Path:

@@ -278,8 +278,8 @@ def classes_of(labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any
     cycles = np.where(periods > len(PALETTE["periods"]), CLASS_NAMES.index("longer"), cycles)
     cells = np.full(labels.shape, CLASS_NAMES.index("missing"))
     for code, label in enumerate(LABELS):
-        here = labels == code
-        cells[here] = cycles[here] if label == "periodic" else CLASS_NAMES.index(label)
+        labelled = labels == code
+        cells[labelled] = cycles[labelled] if label == "periodic" else CLASS_NAMES.index(label)
     return cells
 
 
@@ -343,10 +343,10 @@ def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: 
     ax.set_xlabel("")
     ax.tick_params(labelbottom=False)
     near = np.abs(residual[np.isfinite(residual)])
-    said = f"{len(near)} of {len(residual)} points"
+    summary = f"{len(near)} of {len(residual)} points"
     if len(near):
-        said += f": median {np.median(near):.2g}, largest {near.max():.2g}"
-    below.set_title(said, loc="right", fontsize=8, pad=2)
+        summary += f": median {np.median(near):.2g}, largest {near.max():.2g}"
+    below.set_title(summary, loc="right", fontsize=8, pad=2)
 
 
 def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:

@@ -44,8 +44,8 @@ def processor() -> str:
 
 def with_this_run(runs: str, now: float) -> str:
     """A job's runs, as JSON, with the run of this process, unless the last one had the same software."""
-    known: list[dict[str, Any]] = json.loads(runs)
-    here = software()._asdict() | {"processor": processor()}
-    del here["kernel_version"]
-    same = known and {**known[-1], "began": None} == {**here, "began": None}
-    return runs if same or len(known) >= MAX_RUNS else json.dumps([*known, {**here, "began": now}])
+    earlier: list[dict[str, Any]] = json.loads(runs)
+    run = software()._asdict() | {"processor": processor()}
+    del run["kernel_version"]
+    same = earlier and {**earlier[-1], "began": None} == {**run, "began": None}
+    return runs if same or len(earlier) >= MAX_RUNS else json.dumps([*earlier, {**run, "began": now}])

@@ -111,9 +111,9 @@ def own_token(folder: Path) -> str:
 
     Only this user can read its file.
     """
-    kept = _read(folder / FILE_NAME, "token")
-    if kept is not None and is_valid(kept):
-        return kept
+    token = _read(folder / FILE_NAME, "token")
+    if token is not None and is_valid(token):
+        return token
     token = secrets.token_urlsafe(32)
     with complete_file(folder / FILE_NAME, private=True) as file:
         file.write(json.dumps({"token": token}).encode())

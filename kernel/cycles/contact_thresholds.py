@@ -46,16 +46,20 @@ def thresholds_of(
     ideal = closed_form(omega, xi)
     span = (0.0, _REACH * gamma_th)
     for periods in range(1, PERIODS + 1):
-        known = [fold for fold in ideal.minima if fold.periods == periods]
-        if periods > 1 and not known:
+        ideal_folds = [fold for fold in ideal.minima if fold.periods == periods]
+        if periods > 1 and not ideal_folds:
             continue
-        lines = all_through(chain(seeds(plate, omega, xi, periods), above(plate, omega, xi, known)), span)
+        lines = all_through(
+            chain(seeds(plate, omega, xi, periods), above(plate, omega, xi, ideal_folds)), span
+        )
         if periods == 1 and lines:
             answer = answer._replace(jump=_jump(lines[0]))
         below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
         minima = [fold for fold in (fold_of(x) for x in below if x.kind is Kind.FOLD) if fold.curvature > 0.0]
         folds += [fold for fold in minima if not fold.holds]
-        unmatched = (x for x in known if all(abs(x.gamma - fold.gamma) >= _NEAR * x.gamma for fold in minima))
+        unmatched = (
+            x for x in ideal_folds if all(abs(x.gamma - fold.gamma) >= _NEAR * x.gamma for fold in minima)
+        )
         folds += [fold for fold in unmatched if not fold.holds]
         flips = (event.point for event in below if event.kind is Kind.FLIP)
         folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]

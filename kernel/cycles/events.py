@@ -326,7 +326,7 @@ def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, 
 
     edge: flight times of poles, and of events at which a minimum leaves its flight or contact.
     """
-    found: list[Roots] = []
+    grazes: list[Roots] = []
     gap, force = _brackets(k, periods, t, checked, np.sort(edge), nodes)
     for kind, contact, brackets in ((Kind.GRAZE_FLIGHT, False, gap), (Kind.GRAZE_CONTACT, True, force)):
         inside = brackets
@@ -340,14 +340,14 @@ def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, 
             held = check(k, periods, middle, orbit(k, periods, middle), nodes, np.where(ok, GRAZES, 0.0))
             broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
-            found.append(Roots(np.full(np.count_nonzero(ok), KINDS.index(kind)), root[ok]))
+            grazes.append(Roots(np.full(np.count_nonzero(ok), KINDS.index(kind)), root[ok]))
             halved = _Brackets(
                 np.where(broken, middle, inside.broken), np.where(broken, inside.holds, middle),
                 np.where(broken, minimum, inside.time),
             )  # fmt: skip
             inside = rows_of(halved, ~ok)
     none = Roots(np.empty(0, np.intp), np.empty(0))
-    return Roots(*map(np.concatenate, zip(none, *found, strict=True)))
+    return Roots(*map(np.concatenate, zip(none, *grazes, strict=True)))
 
 
 def _brackets(

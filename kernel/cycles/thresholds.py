@@ -97,11 +97,11 @@ def conjecture(
     if cycles or not rule.decides:
         from kernel.cycles import descent  # noqa: PLC0415 - imports numba
 
-        known = partial(descent.solved, descent.ideal_plate(), omega, xi)
-        folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(known(flip), gamma_th))]
+        solved = partial(descent.solved, descent.ideal_plate(), omega, xi)
+        folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(solved(flip), gamma_th))]
         lowest = _lowest(folds, gamma_th)
         last = [cycle for cycle in rule.last if cycle.gamma < lowest]
-        ends = [descent.descend(known(cycle.within)) for cycle in last]
+        ends = [descent.descend(solved(cycle.within)) for cycle in last]
         for cycle, end in zip(last, ends, strict=True):
             folds = [fold for fold in folds if end.fold is None or not cycle.leads_to(fold)]
         ends += map(descent.descend, cycles)
@@ -166,9 +166,9 @@ def closed_form(omega: float, xi: float) -> ClosedForm:
         folds += minima(k, events, gamma_th)
         last = _last_cycles(k, line, events, gamma_th)
         cycles += last
-        here = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.violations == 0)
+        at_flip = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.violations == 0)
         followed = [cycle.flight_time for cycle in last]
-        flips += [one_flight(k, n, float(t)) for t in events.flight_time[here] if t not in followed]
+        flips += [one_flight(k, n, float(t)) for t in events.flight_time[at_flip] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
     return ClosedForm(gamma_th, jump, folds, cycles, flips)
@@ -214,13 +214,13 @@ def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[
             if not 0 <= outside < len(lives):
                 continue  # T -> 0 is Eq. 25; at T -> 2 pi k a contact vanishes, far above
             low, high = sorted((line.flight_time[inside], line.flight_time[outside]))
-            here = (events.flight_time >= low) & (events.flight_time <= high)
-            if line.gamma[outside] > line.gamma[inside] or (here & (events.kind == Kind.FOLD)).any():
+            between = (events.flight_time >= low) & (events.flight_time <= high)
+            if line.gamma[outside] > line.gamma[inside] or (between & (events.kind == Kind.FOLD)).any():
                 continue
             after = line.flight_time[_stretch(line.violations != 0, outside, outside - inside)]
             beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
             within = one_flight(k, line.periods, float(line.flight_time[inside]))
-            for i in np.flatnonzero(here & (events.gamma < below)):
+            for i in np.flatnonzero(between & (events.gamma < below)):
                 gamma, t = float(events.gamma[i]), float(events.flight_time[i])
                 cycles.append(_LastCycle(gamma, t, within, beyond))
     return cycles
@@ -238,6 +238,8 @@ def _jump(line: Branch, events: Events) -> float:
     if not lives[0] or lives.all():
         return math.nan
     last = int(np.argmin(lives))
-    here = (events.flight_time >= line.flight_time[last - 1]) & (events.flight_time <= line.flight_time[last])
-    folds = np.flatnonzero(here & (events.kind == Kind.FOLD))
+    between = (events.flight_time >= line.flight_time[last - 1]) & (
+        events.flight_time <= line.flight_time[last]
+    )
+    folds = np.flatnonzero(between & (events.kind == Kind.FOLD))
     return float(events.gamma[folds[0]]) if len(folds) else math.nan

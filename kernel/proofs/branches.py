@@ -94,9 +94,9 @@ class Branch(Cycles):
         """Jury's conditions of the tangent map of (q, q') (> 0: it contracts), and derivatives by T."""
         # the landing of variations at fixed phase
         land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-self.b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
-        kept = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
-        before = flow(self.flight, t) * kept.transpose()
-        after = kept * flow(self.contact, self.whole - t)
+        projection = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
+        before = flow(self.flight, t) * projection.transpose()
+        after = projection * flow(self.contact, self.whole - t)
         maps = after * land * before, after * (land * self.flight - self.contact * land) * before
         a, b, c, d = (arb_series(list(pair)) for pair in zip(*(x.entries() for x in maps), strict=True))
         trace, det = a + d, a * d - b * c

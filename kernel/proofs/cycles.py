@@ -106,9 +106,9 @@ class Cycles:
     def _segment(self, letter: str, before: str) -> _Segment:
         up, force, reset, below = self._up, self._force, arb_mat(7, 7, 1), int(before == "b")
         if letter in "hcsz":
-            kept = self._e if letter == "h" else 0
+            rebound = self._e if letter == "h" else 0
             # a gap set to zero keeps the errors of one hop out of the next
-            reset[GAP, GAP], reset[GAP1, GAP1], reset[Q1, GAP1] = 0, -kept, 1 + kept
+            reset[GAP, GAP], reset[GAP1, GAP1], reset[Q1, GAP1] = 0, -rebound, 1 + rebound
         landing: list[list[Condition]] = [[(up, {"S": 3, "z": 2}.get(before, 1), True)]]
         event, conditions = {
             "S": (force, [[(force, 0, True)]]),

@@ -121,9 +121,9 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
 def _set_aside(ledger: Path) -> Path | None:
     """Rename a ledger and its log; None if there is none."""
     replaced = replaced_path(ledger) if ledger.exists() else None
-    for of in (wal_of, shm_of):
+    for beside in (wal_of, shm_of):
         if replaced is None:
-            of(ledger).unlink(missing_ok=True)
-        elif of(ledger).exists():
-            of(ledger).rename(of(replaced))
+            beside(ledger).unlink(missing_ok=True)
+        elif beside(ledger).exists():
+            beside(ledger).rename(beside(replaced))
     return replaced and ledger.rename(replaced)

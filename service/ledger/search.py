@@ -88,8 +88,8 @@ class JobSearch:
         if after is not None:
             column = _COLUMNS[self.order]
             values[f"({column.sql}, seq) {'<' if column.way == 'DESC' else '>'} (?, ?)"] = after
-        asked = {sql: given for sql, given in values.items() if None not in given}
-        return f"WHERE {' AND '.join(asked) or 'true'}", [*chain(*asked.values())]
+        conditions = {sql: given for sql, given in values.items() if None not in given}
+        return f"WHERE {' AND '.join(conditions) or 'true'}", [*chain(*conditions.values())]
 
     @property
     def order_by(self) -> str:

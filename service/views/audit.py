@@ -110,13 +110,13 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     both = len(answers) > 1
     numbers = np.array([[row.get(name, _NOT_ASKED) for name in QUESTIONS] for row in answers.values()])
     by_field = np.moveaxis(numbers if both else numbers[0], -1, 0)
-    asked = dict(zip(_Answer._fields, by_field, strict=True))
+    answered = dict(zip(_Answer._fields, by_field, strict=True))
     matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
     own = table["set"] == audit.SETS.index("numerics")
     np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
     of_sweep = {"outcomes": matrix, "cells": sizes["cells"], "certified": certified}
     listed = _listed(study.spec, table, query.tolerance)
-    data = variables(_QUESTION, asked, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
+    data = variables(_QUESTION, answered, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
@@ -277,22 +277,22 @@ def _named(table: _Table, prefix: str) -> list[str]:
 
 def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:
     """The audit in words."""
-    said = []
+    sentences = []
     for against, questions in answers.items():
         mode, flights = questions["mode"], questions["flights"]
         begins, drawn = ("numerics: " if against == "numerics" else "contact: "), "drawn"
         if against == "numerics" and certified:
             begins += f"{100.0 * certified:.3g} % of the cells are certified, "
             drawn = "others drawn"
-        said.append(
+        sentences.append(
             f"{begins}{_between(mode)} of the cells have another outcome or mode ({mode.changed} of "
             f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
             f"{tolerance:g} rad"
         )
     followed = answers["numerics"]["integrator"]
     if followed.sampled:
-        said.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
-    return "; ".join(said)
+        sentences.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
+    return "; ".join(sentences)
 
 
 def _between(answer: _Answer) -> str:

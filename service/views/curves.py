@@ -137,8 +137,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     kinds = sorted(set(result.curve_kind.values.tolist()))
     for i in range(result.sizes["curve"]):
         curve = result.isel(curve=i)
-        colour, there = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.violations.values == 0
-        for shown, style in ((there, "-"), (~there, ":")):
+        colour, admissible = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.violations.values == 0
+        for shown, style in ((admissible, "-"), (~admissible, ":")):
             axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
     for kind, colour in zip(kinds, ATTRACTORS, strict=False):
         axes.plot([], [], color=colour, label=kind)

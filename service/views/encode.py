@@ -190,8 +190,8 @@ def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[
     dims = tuple(map(str, dataset.variables[rows].dims))
     for part in _parts(dataset, dims):
         counted = part.variables[rows].values.ravel()
-        kept: Rows = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else slice(None)
-        yield dict(_columns(part, dims, kept, lists))
+        selected: Rows = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else slice(None)
+        yield dict(_columns(part, dims, selected, lists))
 
 
 def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Dataset]:
@@ -205,31 +205,31 @@ def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Da
 
 
 def _columns(
-    part: xarray.Dataset, dims: tuple[str, ...], kept: Rows, lists: bool
+    part: xarray.Dataset, dims: tuple[str, ...], selected: Rows, lists: bool
 ) -> Iterator[tuple[str, Any]]:
     for dim in dims:
         if dim not in part.coords:
-            yield dim, _repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[kept]
+            yield dim, _repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[selected]
     for name in map(str, (*part.coords, *part.data_vars)):
         variable = part.variables[name]
         extra = [str(dim) for dim in variable.dims if dim not in dims]
         if not extra:
-            yield name, _column(part, variable, dims, kept)
+            yield name, _column(part, variable, dims, selected)
         elif len(extra) == variable.ndim:  # the same for all rows, such as a map of starts
             continue
         elif lists:
-            yield name, _list_column(part, variable, dims, kept)
+            yield name, _list_column(part, variable, dims, selected)
         elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
             for place in np.ndindex(*sizes):
                 numbers = "_".join(str(i + 1) for i in place)
                 cell = variable.isel(dict(zip(extra, place, strict=True)))
-                yield f"{name}_{numbers}", _column(part, cell, dims, kept)
+                yield f"{name}_{numbers}", _column(part, cell, dims, selected)
 
 
 def _column(
-    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], selected: Rows
 ) -> NDArray[Any]:
-    values = _repeated(part, variable.dims, variable.values, dims)[kept]
+    values = _repeated(part, variable.dims, variable.values, dims)[selected]
     if "flag_values" in variable.attrs:
         codes = [int(code) for code in variable.attrs["flag_values"]]
         meanings = dict(zip(codes, variable.attrs["flag_meanings"].split(), strict=True))
@@ -237,17 +237,19 @@ def _column(
     return np.asarray(values, object if values.dtype.kind in "UT" else None)
 
 
-def _list_column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Any:
+def _list_column(
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], selected: Rows
+) -> Any:
     """The numbers of each row along the other dimensions, in lists; flights without the NaN at the end."""
     import pyarrow as pa
 
-    rows = _repeated(part, variable.dims, variable.values, dims)[kept]
+    rows = _repeated(part, variable.dims, variable.values, dims)[selected]
     numbers = rows.reshape(len(rows), prod(rows.shape[1:]))
     most = numbers.shape[1]
     lengths = np.full(len(rows), most)
     if variable.dims[-1] == "flight" and numbers.dtype.kind == "f":
-        there = ~np.isnan(numbers)
-        lengths = np.where(there.any(axis=1), most - there[:, ::-1].argmax(axis=1), 0)
+        finite = ~np.isnan(numbers)
+        lengths = np.where(finite.any(axis=1), most - finite[:, ::-1].argmax(axis=1), 0)
     ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     return pa.ListArray.from_arrays(ends, pa.array(numbers[np.arange(most) < lengths[:, None]]))
 

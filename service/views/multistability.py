@@ -88,21 +88,21 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
         row = nearest_index(spec, "omega", query.omega).index
         rows = slice(row, row + 1)
     ids = _ids(arrays)
-    labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
+    labels, shown, exists = _labels(arrays, ids), ids[rows], ids[rows] > 0
     count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
     of_places: dict[str, NDArray[Any]] = {"id": shown, "label": labels[rows]}
     for name in ("fraction", "longest_flight"):
-        of_places[name] = np.where(there, arrays[name][rows], np.nan)
+        of_places[name] = np.where(exists, arrays[name][rows], np.nan)
     if query.omega is not None:
         times = read_stored(study, ("flight_time",), {"xi": xi.index, "omega": rows})["flight_time"]
-        of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
-    places = max(1, int(np.count_nonzero(there, axis=-1).max()))
+        of_places["flight_time"] = np.where(exists[..., np.newaxis], times, np.nan)
+    places = max(1, int(np.count_nonzero(exists, axis=-1).max()))
     shown_places = {name: values[:, :, :places] for name, values in of_places.items()}
-    numbers = np.unique(shown[there])
+    numbers = np.unique(shown[exists])
     commonest = _commonest(ids, labels)
     columns: dict[str, Any] = {
         "attractor_label": [commonest[number] for number in numbers.tolist()],
-        "cells": np.bincount(shown[there])[numbers],
+        "cells": np.bincount(shown[exists])[numbers],
     }
     events = list(_events(spec, arrays, ids, labels, rows))
     columns |= {name: [event[i] for event in events] for i, name in enumerate(_OF_EVENTS)}
@@ -147,13 +147,13 @@ def _ids(arrays: _Arrays) -> NDArray[np.int64]:
     """The id of every stored attractor (omega, gamma, id); 0 where there is none."""
     branch = _branches(arrays)
     owner = _joined(branch, _votes(arrays, branch))
-    there = branch >= 0
-    owners, index, cells = np.unique(owner[branch[there]], return_inverse=True, return_counts=True)
+    exists = branch >= 0
+    owners, index, cells = np.unique(owner[branch[exists]], return_inverse=True, return_counts=True)
     order = np.lexsort((owners, -cells))
     number = np.empty(len(owners), np.int64)
     number[order] = np.arange(1, len(owners) + 1)
     ids = np.zeros(branch.shape, np.int64)
-    ids[there] = number[index]
+    ids[exists] = number[index]
     return ids
 
 
@@ -180,13 +180,13 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
 def _branches(arrays: _Arrays) -> NDArray[np.int64]:
     """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
     places = np.arange(MAX_FOLLOWED)
-    there = places < arrays["attractor_count"][..., np.newaxis]
+    exists = places < arrays["attractor_count"][..., np.newaxis]
     before = np.maximum(arrays["next_down"].astype(np.int64) - 1, 0)
-    goes_on = there & (arrays["next_down"] > 0)
+    goes_on = exists & (arrays["next_down"] > 0)
     goes_on[:, 0] = False
     goes_on[:, 1:] &= np.take_along_axis(arrays["next_up"][:, :-1], before[:, 1:], axis=2) == places + 1
-    branch = np.where(there, np.cumsum(there & ~goes_on).reshape(there.shape) - 1, -1)
-    for j in range(1, there.shape[1]):
+    branch = np.where(exists, np.cumsum(exists & ~goes_on).reshape(exists.shape) - 1, -1)
+    for j in range(1, exists.shape[1]):
         same = np.take_along_axis(branch[:, j - 1], before[:, j], axis=1)
         branch[:, j] = np.where(goes_on[:, j], same, branch[:, j])
     return branch
@@ -195,21 +195,21 @@ def _branches(arrays: _Arrays) -> NDArray[np.int64]:
 def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int], int]:
     """For pairs of branches of neighbouring lines, the number of cells in which they match."""
     votes: Counter[tuple[int, int]] = Counter()
-    there = branch >= 0
+    exists = branch >= 0
     for i in range(1, len(branch)):
         for j in range(branch.shape[1]):
-            for k, before in _nearest(arrays, there, i, j):
+            for k, before in _nearest(arrays, exists, i, j):
                 votes[int(branch[i - 1, j, before]), int(branch[i, j, k])] += 1
     return votes
 
 
-def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
+def _nearest(arrays: _Arrays, exists: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
     """Matching attractors of the cells (i, j) and (i - 1, j): of the same mode, nearest flights first."""
     longest = arrays["longest_flight"]
     pairs = sorted(
         (abs(float(longest[i, j, k] - longest[i - 1, j, before])), k, before)
-        for k in np.flatnonzero(there[i, j]).tolist()
-        for before in np.flatnonzero(there[i - 1, j]).tolist()
+        for k in np.flatnonzero(exists[i, j]).tolist()
+        for before in np.flatnonzero(exists[i - 1, j]).tolist()
         if all(arrays[name][i, j, k] == arrays[name][i - 1, j, before] for name in _MODE)
     )
     taken, taken_before = set[int](), set[int]()
@@ -223,9 +223,9 @@ def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Itera
 
 def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:
     """The label of every stored attractor; empty where there is none."""
-    labels, there = np.full(ids.shape, "", object), ids > 0
-    modes = zip(*(arrays[name][there].tolist() for name in _MODE), strict=True)
-    labels[there] = [attractor_label(*mode) for mode in modes]
+    labels, exists = np.full(ids.shape, "", object), ids > 0
+    modes = zip(*(arrays[name][exists].tolist() for name in _MODE), strict=True)
+    labels[exists] = [attractor_label(*mode) for mode in modes]
     return labels
 
 
@@ -245,8 +245,8 @@ def _events(
     for i in range(len(omega))[rows]:
         for j in np.flatnonzero(computed[i, :-1] & computed[i, 1:]).tolist():
             below, above = (
-                {n: label for n, label in zip(ids[i, cell].tolist(), labels[i, cell], strict=True) if n}
-                for cell in (j, j + 1)
+                {n: label for n, label in zip(ids[i, k].tolist(), labels[i, k], strict=True) if n}
+                for k in (j, j + 1)
             )
             for number in sorted(below.keys() | above.keys()):
                 before, after = below.get(number, ""), above.get(number, "")
@@ -254,9 +254,9 @@ def _events(
                     continue
                 kind, leads_to = "mode", 0
                 if not before or not after:
-                    kind, there, other = ("death", j, j + 1) if before else ("birth", j + 1, j)
-                    leads = arrays["next_up" if before else "next_down"][i, there]
-                    reached = int(leads[ids[i, there] == number][0])
+                    kind, cell, other = ("death", j, j + 1) if before else ("birth", j + 1, j)
+                    leads = arrays["next_up" if before else "next_down"][i, cell]
+                    reached = int(leads[ids[i, cell] == number][0])
                     leads_to = int(ids[i, other, reached - 1]) if reached > 0 else 0
                 yield kind, number, omega[i], gamma[j], gamma[j + 1], before, after, leads_to
 

@@ -88,9 +88,9 @@ def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
     return [(plan, tuple(settings), query.budget, query.kept, query.seed)]
 
 
-def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Share], int]) -> xarray.Dataset:
+def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Share], int]) -> xarray.Dataset:
     """The table of a plan."""
-    shares, chosen = found
+    shares, chosen = result
     specs = [level(each.spec, each.steps) for each in settings]
     data: dict[str, Any] = {
         "effort": [_effort(each.spec) for each in settings],
@@ -123,18 +123,18 @@ def _effort(spec: SweepSpec) -> str:
     return next(name for name in EFFORTS if _with_effort(spec, name) == spec)
 
 
-def draw(found: xarray.Dataset, axes: "Axes") -> None:
+def draw(result: xarray.Dataset, axes: "Axes") -> None:
     """Draw the share shown wrong over the time of each setting, with the frontier and the recommended one."""
     axes.set(xscale="log", xlabel="time (s)", ylabel="share of the plane shown wrong")
-    order = np.argsort(found["seconds"].values)
-    seconds, share, low, high = (found[name].values[order] for name in ("seconds", "share", "low", "high"))
-    front = found["frontier"].values[order]
+    order = np.argsort(result["seconds"].values)
+    seconds, share, low, high = (result[name].values[order] for name in ("seconds", "share", "low", "high"))
+    front = result["frontier"].values[order]
     errors = np.clip([share - low, high - share], 0.0, None)
     axes.errorbar(seconds, share, errors, fmt="o", zorder=1, color="0.6", ecolor="0.8", markersize=4)
     axes.plot(seconds[front], share[front], "o-", color=ATTRACTORS[0], markersize=5)
-    for i in np.flatnonzero(found["recommended"].values):
-        name = f"{found['effort'].values[i]}, {found['grid'].values[i]}"
-        point = (found["seconds"].values[i], found["share"].values[i])
+    for i in np.flatnonzero(result["recommended"].values):
+        name = f"{result['effort'].values[i]}, {result['grid'].values[i]}"
+        point = (result["seconds"].values[i], result["share"].values[i])
         axes.plot(*point, "o", color=ATTRACTORS[1], markersize=8)
         axes.annotate(name, point, (0, 10), textcoords="offset points", ha="right", **TEXT)
     axes.set_ylim(bottom=0.0)

@@ -66,9 +66,9 @@ def admit(
     """
     if view.study is not None and not isinstance(spec, view.study):
         names = [name for name, other in VIEWS.items() if other.study and isinstance(spec, other.study)]
-        there = f"; it has {', '.join(names)}" if names else ""
+        others = f"; it has {', '.join(names)}" if names else ""
         kind = spec.protocol.kind
-        raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{there}")
+        raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{others}")
     encode.check_format(format)
     estimate = view.estimate(spec, query)
     if estimate.seconds > max_seconds:
@@ -109,9 +109,9 @@ def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
     return encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
 
 
-def planned(settings: Sequence[Setting], query: plans.PlanQuery, found: Any, format: str) -> bytes:
+def planned(settings: Sequence[Setting], query: plans.PlanQuery, result: Any, format: str) -> bytes:
     """The bytes of the plan of a sweep."""
-    return encoded(plans.VIEW, None, plans.compute(settings, query, found), format)
+    return encoded(plans.VIEW, None, plans.compute(settings, query, result), format)
 
 
 def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:

@@ -111,8 +111,8 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
     while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
         lines, step = lines[::2], 2 * step
     thinned = [f"1 line in {step}" if step > 1 else "", f"1 cell in {every} of a line" if every > 1 else ""]
-    said = " and ".join(filter(None, thinned))
-    return lines, f"Diagrams: {said}" if said else ""
+    omitted = " and ".join(filter(None, thinned))
+    return lines, f"Diagrams: {omitted}" if omitted else ""
 
 
 def _places(spec: SweepSpec) -> tuple[str, int, list[dict[str, float]]]:

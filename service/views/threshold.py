@@ -101,19 +101,21 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     share of starts, `missed`, that a basin must have to be seen with 95 %.
     """
     contact = orbits.contact(query)
-    *before, found = computed if query.search else (*computed, None)
+    *before, search = computed if query.search else (*computed, None)
     thresholds = before[0] if before else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
         "threshold": thresholds.gamma_th if np.isfinite(thresholds.gamma_th) else np.nan,
         "jump": thresholds.jump, "down": thresholds.down,
         "cause": thresholds.cause, "reason": thresholds.reason, "status": _status(contact, thresholds),
     }  # fmt: skip
-    if found is not None:
-        data["missed"] = found.missed
-    if found is not None and not found.gamma > thresholds.down * _SAME_END:
-        gamma, what = (found.gamma, found.what) if np.isfinite(found.gamma) else (thresholds.gamma_th, EQ_25)
+    if search is not None:
+        data["missed"] = search.missed
+    if search is not None and not search.gamma > thresholds.down * _SAME_END:
+        gamma, what = (
+            (search.gamma, search.what) if np.isfinite(search.gamma) else (thresholds.gamma_th, EQ_25)
+        )
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
-        data |= {row.name: getattr(found, row.name) for row in _OF_SEARCH}
+        data |= {row.name: getattr(search, row.name) for row in _OF_SEARCH}
     elif thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
         if thresholds.fold.energy is not None:

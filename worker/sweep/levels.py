@@ -32,8 +32,8 @@ def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
     if steps == WHOLE:
         return spec
     indices = zip(AXES, level_indices(spec, steps), strict=True)
-    kept = {axis: spec.axis_values(axis)[along].tolist() for axis, along in indices}
-    return SweepSpec.parse(spec.as_submitted() | kept)
+    thinned = {axis: spec.axis_values(axis)[along].tolist() for axis, along in indices}
+    return SweepSpec.parse(spec.as_submitted() | thinned)
 
 
 def is_level(spec: SweepSpec, other: SweepSpec) -> bool:

@@ -46,14 +46,14 @@ class StoresMarker:
         with self._ledger.reading() as reading:
             ours, made = reading.marker()
         try:
-            there = store.read_marker(self._url)
-            if there not in (None, "", ours) and (made or not self._within_data):
-                raise LedgerUnusable(self._foreign(str(there)))
+            marker = store.read_marker(self._url)
+            if marker not in (None, "", ours) and (made or not self._within_data):
+                raise LedgerUnusable(self._foreign(str(marker)))
             # a marker that a power cut left empty is ours if the ledger knows every store beside it
-            emptied = there == "" and not find_unknown(self._ledger, self._settings)
-            if there != ours and (adopting or not made or emptied):
+            emptied = marker == "" and not find_unknown(self._ledger, self._settings)
+            if marker != ours and (adopting or not made or emptied):
                 store.write_marker(self._url, ours)
-            elif there != ours:
+            elif marker != ours:
                 return
         except _UNREADABLE as error:
             log.warning("%s cannot be marked as this ledger's: %s", self._url, error)
@@ -78,26 +78,26 @@ class StoresMarker:
         if not made:
             return
         try:
-            there = store.read_marker(self._url)
+            marker = store.read_marker(self._url)
         except _UNREADABLE as error:
             if store.in_bucket(self._url):
                 return  # the next use of the bucket raises its error
             reason = getattr(error, "strerror", None) or type(error).__name__
             raise LedgerUnavailable(f"the folder of the stores cannot be read: {reason}") from error
-        if not there:
+        if not marker:
             raise LedgerUnavailable(
                 f"the stores are not there: their marker {store.MARKER} is missing, as where a file system "
                 "is not mounted; mount it, or if these are the stores, stop the service and run "
                 "bounce adopt --all"
             )
-        if there != ours:
-            raise LedgerUnavailable(self._foreign(there))
+        if marker != ours:
+            raise LedgerUnavailable(self._foreign(marker))
         self._checked = time.monotonic()
 
-    def _foreign(self, there: str) -> str:
+    def _foreign(self, marker: str) -> str:
         return (
-            f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
-            f"{there[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for good, "
+            f"the stores are another data folder's: {store.MARKER} beside them names the ledger {marker[:32]!a}; "
+            "set BOUNCE_STORES to another folder, or, if that data folder is gone for good, "
             f"remove {store.MARKER} and run bounce adopt --all"
         )
 
@@ -108,8 +108,8 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
     Raises OSError, or one of `store.UNREACHABLE`.
     """
     with ledger.reading() as reading:
-        known = reading.stores()
-    return [name for name in _stored(settings) if name not in known]
+        names = reading.stores()
+    return [name for name in _stored(settings) if name not in names]
 
 
 def report_unknown(ledger: Ledger, settings: Settings) -> list[str]:

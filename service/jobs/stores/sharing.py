@@ -87,10 +87,12 @@ def import_shared(
     check(spec)
     layout = _checked(files, spec, attrs)
     job_id = spec.job_id(KERNEL_VERSION)
-    if (known := ledger.find(job_id)) is not None:
-        if known.state is not JobState.DONE:
-            raise IllegalTransition(f"the job of this file is {known.state} here: wait for it, or delete it")
-        return known, False
+    if (existing := ledger.find(job_id)) is not None:
+        if existing.state is not JobState.DONE:
+            raise IllegalTransition(
+                f"the job of this file is {existing.state} here: wait for it, or delete it"
+            )
+        return existing, False
     with ledger.writing() as writing:
         number = writing.newest_seq() + 1
         writing.continue_after(number)
