@@ -96,9 +96,9 @@ class StoresMarker:
 
     def _foreign(self, marker: str) -> str:
         return (
-            f"the stores are another data folder's: {store.MARKER} beside them names the ledger {marker[:32]!a}; "
-            "set BOUNCE_STORES to another folder, or, if that data folder is gone for good, "
-            f"remove {store.MARKER} and run bounce adopt --all"
+            f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
+            f"{marker[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for "
+            f"good, remove {store.MARKER} and run bounce adopt --all"
         )
 
 
