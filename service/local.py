@@ -187,7 +187,7 @@ def run_to_file(
     use_cache()
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
-        formats = ", ".join(each for each in (*EXPORTS, "zarr") if each != "html")
+        formats = ", ".join(name for name in (*EXPORTS, "zarr") if name != "html")
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     query: Query = _query(diagram.DiagramQuery, line or {})
     settings = _settings(partial_of(target))

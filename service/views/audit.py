@@ -272,7 +272,7 @@ def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[
 
 def _named(table: _Table, prefix: str) -> list[str]:
     fields = (table[f"{prefix}{name}"].tolist() for name in ("outcome", "bounces", "periods"))
-    return [attractor_label(*each) for each in zip(*fields, strict=True)]
+    return [attractor_label(*mode) for mode in zip(*fields, strict=True)]
 
 
 def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:

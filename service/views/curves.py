@@ -119,8 +119,8 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
         for spring in springs:
             grid_length(*spring, periods)
     omega, xi = springs[0]
-    each = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
-    seconds = np.cumsum(each if contact is None else [CURVES_SECONDS] * len(modes))
+    closed_form = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
+    seconds = np.cumsum(closed_form if contact is None else [CURVES_SECONDS] * len(modes))
     if seconds[-1] > MAX_SECONDS:
         fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
         rule = (

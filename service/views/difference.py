@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PLANE: Final = ("omega", "gamma")
-_OF_CELLS: Final = (*(each for each in RECORD if each.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
+_OF_CELLS: Final = (*(array for array in RECORD if array.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
 _DIFFERS: Final = row(
     "differs", (), "|u1", "how the cell compares with the nearest one of the other sweep",
     flag_values=[0, 1, 2], flag_meanings="same_mode other_mode not_compared",
@@ -81,12 +81,12 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     common = known = np.logical_and.outer(*inside)
     for arrays in (own, theirs):
         known = known & (arrays["outcome"] != Outcome.MISSING)
-    compared = [each.name for each in _OF_CELLS if each.name in own and each.name in theirs]
+    compared = [array.name for array in _OF_CELLS if array.name in own and array.name in theirs]
     same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
     data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
-    rows = {each.name: each for each in _ROWS}
+    rows = {array.name: array for array in _ROWS}
     return dataset(
         {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
         | {name: variable(("omega",), values[part], rows[name]) for name, values in moved.items()},

@@ -197,11 +197,11 @@ def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[
 def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Dataset]:
     """The Dataset cut along `dims`, the first slowest, into parts of about ROWS rows."""
     first, *others = dims
-    each = prod(dataset.sizes[dim] for dim in others)
-    step = max(1, ROWS // max(1, each))
+    rows = prod(dataset.sizes[dim] for dim in others)
+    step = max(1, ROWS // max(1, rows))
     for low in range(0, max(1, dataset.sizes[first]), step):
         part = dataset.isel({first: slice(low, low + step)})
-        yield from _parts(part, tuple(others)) if each > ROWS else [part]
+        yield from _parts(part, tuple(others)) if rows > ROWS else [part]
 
 
 def _columns(

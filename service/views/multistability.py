@@ -62,7 +62,7 @@ _ROWS: Final = (
         comment="0: none"),
 )  # fmt: skip
 
-_OF_EVENTS: Final = tuple(each.name for each in _ROWS if each.name.startswith("event_"))
+_OF_EVENTS: Final = tuple(array.name for array in _ROWS if array.name.startswith("event_"))
 
 _Arrays = Mapping[str, NDArray[Any]]
 

@@ -84,12 +84,12 @@ def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
     )
 
 
-_STORED: Final = {each.name: each for each in ARRAYS}
+_STORED: Final = {array.name: array for array in ARRAYS}
 
 #: The variables by name: those that a study of orbits stores, and others.
 ROWS: Final[Mapping[str, Array]] = _STORED | {
-    each.name: each
-    for each in (
+    array.name: array
+    for array in (
         _STORED["gamma"]._replace(attrs=COORDINATES["gamma"] | {"comment": "NaN: no point"}),
         _STORED["violations"]._replace(fill=MISSING_POINT, attrs=_STORED["violations"].attrs | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
@@ -141,8 +141,8 @@ def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...])
             f"{selection.MAX_READ:,}: take a shorter range, or fewer kinds or modes"
         )
     table = np.full((len(values), *lengths), np.nan if about.dtype == "<f8" else about.fill, about.dtype)
-    for line, each in zip(table, values, strict=True):
-        line[tuple(map(slice, each.shape))] = each
+    for line, value in zip(table, values, strict=True):
+        line[tuple(map(slice, value.shape))] = value
     return xarray.Variable(dims, table, dict(about.attrs))
 
 

@@ -91,12 +91,12 @@ def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
 def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Share], int]) -> xarray.Dataset:
     """The table of a plan."""
     shares, chosen = result
-    specs = [level(each.spec, each.steps) for each in settings]
+    specs = [level(setting.spec, setting.steps) for setting in settings]
     data: dict[str, Any] = {
-        "effort": [_effort(each.spec) for each in settings],
+        "effort": [_effort(setting.spec) for setting in settings],
         "grid": [" × ".join(map(str, spec.shape[1:])) for spec in specs],
         "cells": [int(np.prod(spec.shape)) for spec in specs],
-        "seconds": [each.seconds for each in settings],
+        "seconds": [setting.seconds for setting in settings],
         "share": [share.share for share in shares],
         "low": [share.low for share in shares],
         "high": [share.high for share in shares],

@@ -539,8 +539,8 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
 @lru_cache(64)  # called several times for an answer
 def _seconds(spec: SweepSpec, xi: float, predict: Predict) -> NDArray[np.float64]:
     """Core-seconds of the predictions up to each omega (n,)."""
-    each = _EACH_SECONDS.get(predict, 0.0)
-    return np.cumsum([each + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
+    beside = _EACH_SECONDS.get(predict, 0.0)
+    return np.cumsum([beside + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
 
 
 def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:

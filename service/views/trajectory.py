@@ -164,7 +164,7 @@ _ROWS: Final = (
     row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
     row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
     row("cycle_violations", (), "|u1", "0, or the sum of the conditions that fail"),
-    *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
+    *(array._replace(name=f"energy_{array.name}") for array in ENERGY),
     *proofs.OF_CELL,
 )
 

@@ -100,7 +100,7 @@ def cells_dataset(
     dims = ("direction",) * both + tuple(name for name, along in coords.items() if along.ndim)
     named = {row.name: row for row in rows}
     data = {
-        name: variable(dims, np.stack([each[name] for each in arrays]) if both else values, named[name])
+        name: variable(dims, np.stack([way[name] for way in arrays]) if both else values, named[name])
         for name, values in arrays[0].items()
     }
     direction = coordinate("direction", directions if both else directions[0])

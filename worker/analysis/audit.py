@@ -87,7 +87,7 @@ class _Drawn(NamedTuple):
 
     set: str
     unit: int  # number in its set; both cells of a threshold have the same
-    cell: tuple[int, ...]  # indices: direction, xi, omega, gamma
+    indices: tuple[int, ...]  # of the cell: direction, xi, omega, gamma
     point: Cell | None = None
 
 
@@ -221,19 +221,19 @@ def _looked_at(
     spec: SweepSpec, url: str, grid: dict[str, _Array], contact: Contact | None, drawn: Sequence[_Drawn]
 ) -> Iterator[tuple[Any, ...]]:
     """The values of FIELDS for drawn cells of one set."""
-    cells = [each.point or _cell(spec, each.cell) for each in drawn]
-    starts = [_start(spec, url, each.cell) for each in drawn]
+    cells = [cell.point or _cell(spec, cell.indices) for cell in drawn]
+    starts = [_start(spec, url, cell.indices) for cell in drawn]
     true, undecided = reference(spec, cells, starts, contact)
     stored = _stored(spec, url, grid, drawn)
     apart = deviations(true, stored, spec.micro_flight)
     label, true_label = _labels(spec, stored, 1), _labels(spec, true, LONGER)
-    for i, each in enumerate(drawn):
-        own = each.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][each.cell]))
+    for i, cell in enumerate(drawn):
+        own = cell.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][cell.indices]))
         deviation = None
         if own and not np.isnan(apart[i]):
             deviation = float(apart[i]) if np.isfinite(apart[i]) else -1.0
         yield (
-            SETS.index(each.set), each.unit, each.cell[0], *cells[i],
+            SETS.index(cell.set), cell.unit, cell.indices[0], *cells[i],
             *(int(getattr(stored, name)[i]) for name in schema.MODE_ARRAYS), int(label[i]),
             *(int(getattr(true, name)[i]) for name in schema.MODE_ARRAYS), int(true_label[i]),
             deviation, bool(undecided[i]),
@@ -292,7 +292,7 @@ def _begun(model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None]
 def followed_seconds(spec: SweepSpec) -> float:
     """Core-seconds of a cell followed by time steps, by the table of contact models."""
     stepped = (spec.model_copy(update={"model": model}) for model in steppers(spec))
-    return sum((FOLLOWED + 8) * period_seconds(each) for each in stepped)
+    return sum((FOLLOWED + 8) * period_seconds(sweep) for sweep in stepped)
 
 
 def reference_seconds(spec: SweepSpec) -> float:
@@ -307,9 +307,9 @@ def _followed(
 
     Undecided if the two time steps differ by more than the tolerance.
     """
-    cell, stored = _cell(spec, drawn.cell), _stored(spec, url, grid, [drawn])
+    cell, stored = _cell(spec, drawn.indices), _stored(spec, url, grid, [drawn])
     gamma, omega, xi = np.array([cell]).T
-    ended = run_cells(spec, gamma, omega, xi, _start(spec, url, drawn.cell)).end_state[0]
+    ended = run_cells(spec, gamma, omega, xi, _start(spec, url, drawn.indices)).end_state[0]
     start = Start(np.ascontiguousarray(ended), cell)
     bounces, periods = int(stored.bounces[0]), max(int(stored.periods[0]), 1)
     window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
@@ -321,7 +321,7 @@ def _followed(
         deviation = float(np.max(np.abs(np.sort(extrapolated) - np.sort(own)), initial=0.0))
         decided = bool(np.max(np.abs(fine - coarse), initial=0.0) <= tolerance)
     mode = (int(stored.outcome[0]), bounces, int(stored.periods[0]), int(_labels(spec, stored, 1)[0]))
-    return (SETS.index(drawn.set), drawn.unit, drawn.cell[0], *cell, *mode, *mode, deviation, not decided)
+    return (SETS.index(drawn.set), drawn.unit, drawn.indices[0], *cell, *mode, *mode, deviation, not decided)
 
 
 def _last(line: Line, micro_flight: float, bounces: int) -> _Array:
@@ -360,10 +360,10 @@ def _stored(spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: Sequence[
     """The stored record of the cells; for a point that of the nearest cell."""
     exponents = ("lyapunov", "lyapunov_error") if spec.exponents else ()
     names = ("flight_time", "takeoff_phase", "flights", *exponents)
-    cells: list[dict[str, Any]] = [dict(zip(CELL_DIMS, each.cell, strict=True)) for each in drawn]
+    cells: list[dict[str, Any]] = [dict(zip(CELL_DIMS, cell.indices, strict=True)) for cell in drawn]
     parts = [store.read_slice(url, names, complete=True, **cell) for cell in cells]
     records = {name: np.stack([part[name] for part in parts]) for name in names}
-    modes = {name: np.array([grid[name][each.cell] for each in drawn]) for name in schema.MODE_ARRAYS}
+    modes = {name: np.array([grid[name][cell.indices] for cell in drawn]) for name in schema.MODE_ARRAYS}
     return empty_line(len(drawn), spec.keep, spec.exponents)._replace(**records, **modes)
 
 

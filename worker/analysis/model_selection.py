@@ -242,7 +242,7 @@ def _choice(auto: Auto, table: list[ModelComparison], row: ModelComparison) -> M
     most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
     flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
     others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
-    percentiles = ", ".join(f"{each.model} {_in_rad(each.percentile_95)}" for each in table)
+    percentiles = ", ".join(f"{row.model} {_in_rad(row.percentile_95)}" for row in table)
     reason = f"{verdict} ({flights}; {others}; 95th percentiles: {percentiles})"
     return ModelChoice(model=row.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
