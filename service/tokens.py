@@ -111,7 +111,7 @@ def own_token(folder: Path) -> str:
 
     Only this user can read its file.
     """
-    token = _read(folder / FILE_NAME, "token")
+    token = _read_text(folder / FILE_NAME, "token")
     if token is not None and is_valid(token):
         return token
     token = secrets.token_urlsafe(32)
@@ -130,7 +130,7 @@ def find_token(port: int, folder: Path | None = None) -> str | None:
     url = find_service(folder)
     if url is None or urlsplit(url).port != port:
         return None
-    token = _read(folder / FILE_NAME, "token")
+    token = _read_text(folder / FILE_NAME, "token")
     return token if token is not None and is_valid(token) else None
 
 
@@ -169,10 +169,10 @@ def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
 
 def find_service(folder: Path) -> str | None:
     """The address of this user's running service on `folder`; None if there is none."""
-    return _read(folder / ADDRESS_FILE, "url", locked=True)
+    return _read_text(folder / ADDRESS_FILE, "url", locked=True)
 
 
-def _read(path: Path, name: str, *, locked: bool = False) -> str | None:
+def _read_text(path: Path, name: str, *, locked: bool = False) -> str | None:
     """A text in a private file of JSON; None if it is not this user's, or, with `locked`, not locked."""
     with suppress(OSError, ValueError, KeyError, TypeError):
         # does not block on a pipe in its place

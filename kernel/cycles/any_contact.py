@@ -36,7 +36,7 @@ _HOP: Final = 1e-2
 #: A fold between two points of a branch lies at most this far beyond both, in the parameter.
 _FOLDED: Final = 0.025
 #: Two cycles at one parameter are one if their flights agree within this, rad; shorter hops do not count.
-_ALIKE: Final = 1e-5
+_SAME_FLIGHTS: Final = 1e-5
 
 
 def branches(
@@ -204,15 +204,15 @@ def lies_on(point: Point, line: Followed) -> bool:
         # near a fold the parameter hardly changes along the branch
         if a.rising * b.rising < 0.0 and a.letters == point.letters:
             others.append(ahead(a, float(a.tangent @ (point.x - a.x))))
-        if any(other is not None and _alike(other, point) for other in others):
+        if any(other is not None and _same_flights(other, point) for other in others):
             return True
     return False
 
 
-def _alike(a: Point, b: Point) -> bool:
+def _same_flights(a: Point, b: Point) -> bool:
     """Whether the longest flights of two cycles agree, as many as the one with fewer flights has."""
     pairs = zip(*(sorted(point.flights, reverse=True) for point in (a, b)), strict=False)
-    return all(abs(x - y) < _ALIKE for x, y in pairs)
+    return all(abs(x - y) < _SAME_FLIGHTS for x, y in pairs)
 
 
 def record(points: list[Point], micro_flight: float) -> Branch:

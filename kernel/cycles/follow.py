@@ -311,12 +311,12 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
             kind, _, first = after
             turns = last.rising * first.rising < 0.0
             event = Event(kind, last, turns, first.letters)
-            return first, [event] if _jump(last, first) else []
+            return first, [event] if _multipliers_jump(last, first) else []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
     return over_small_segment(last, before), []
 
 
-def _jump(a: Point, b: Point) -> bool:
+def _multipliers_jump(a: Point, b: Point) -> bool:
     """Whether the leading multipliers of two neighbours differ."""
     x, y = a.multipliers()[0], b.multipliers()[0]
     return bool(min(abs(x - y), abs(x - y.conjugate())) > _JUMP * (1.0 + abs(x)))

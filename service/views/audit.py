@@ -115,7 +115,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     own = table["set"] == audit.SETS.index("numerics")
     np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
     of_sweep = {"outcomes": matrix, "cells": sizes["cells"], "certified": certified}
-    listed = _listed(study.spec, table, query.tolerance)
+    listed = _changed_cells(study.spec, table, query.tolerance)
     data = variables(_QUESTION, answered, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
@@ -142,9 +142,9 @@ def answers_of(
     answers = {
         "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
         | {
-            "threshold": _of_pairs(drawn["threshold"], sizes["thresholds"]),
-            "area": _of_points(drawn["area"]),
-            "integrator": _of_followed(drawn["integrator"], sizes, query.tolerance),
+            "threshold": _of_thresholds(drawn["threshold"], sizes["thresholds"]),
+            "area": _of_area(drawn["area"]),
+            "integrator": _of_integrator(drawn["integrator"], sizes, query.tolerance),
         }
     }
     if _contact(study) is not None:
@@ -226,7 +226,7 @@ def _answer(changed: Any, undecided: Any, population: int, weight: float = 1.0) 
     return _Answer(sampled, certain, doubtful, weight * (certain / sampled), weight * low, weight * high)
 
 
-def _of_pairs(table: _Table, thresholds: int) -> _Answer:
+def _of_thresholds(table: _Table, thresholds: int) -> _Answer:
     """The answer for thresholds. Both cells of a threshold have the same unit."""
     bouncing = np.isin(table["outcome"], BOUNCING) != np.isin(table["true_outcome"], BOUNCING)
     units = np.unique(table["unit"])
@@ -237,13 +237,13 @@ def _of_pairs(table: _Table, thresholds: int) -> _Answer:
     return _answer(changed, undecided & ~changed, thresholds)
 
 
-def _of_points(table: _Table) -> _Answer:
+def _of_area(table: _Table) -> _Answer:
     """The answer for points anywhere in the plane."""
     population = ENDLESS if len(table["outcome"]) else 0
     return _answer(_masks(table, 0.0)["mode"], table["undecided"], population)
 
 
-def _of_followed(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:
+def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:
     """The answer for cells at rest or periodic that a time stepper follows."""
     sampled, repeating = len(table["outcome"]), sizes["repeating"]
     if not sampled:
@@ -254,7 +254,7 @@ def _of_followed(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _
     return answer._replace(largest=largest, covered=weight * covered(sampled, repeating))
 
 
-def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
+def _changed_cells(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
     """The variables of the cells that have changed, by name."""
     masks = _masks(table, tolerance)
     changed = np.flatnonzero(masks["mode"] | masks["flights"] | table["undecided"])
@@ -262,15 +262,15 @@ def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[
         "cell_set": [audit.SETS[i] for i in table["set"]],
         "cell_direction": [spec.directions[i] for i in table["direction"]],
         **{f"cell_{axis}": table[axis] for axis in ("gamma", "omega", "xi")},
-        "cell_stored": _named(table, ""),
-        "cell_reference": _named(table, "true_"),
+        "cell_stored": _mode_labels(table, ""),
+        "cell_reference": _mode_labels(table, "true_"),
         "cell_deviation": table["deviation"],
         "cell_undecided": table["undecided"],
     }
     return {name: [values[i] for i in changed] for name, values in named.items()}
 
 
-def _named(table: _Table, prefix: str) -> list[str]:
+def _mode_labels(table: _Table, prefix: str) -> list[str]:
     fields = (table[f"{prefix}{name}"].tolist() for name in ("outcome", "bounces", "periods"))
     return [attractor_label(*mode) for mode in zip(*fields, strict=True)]
 

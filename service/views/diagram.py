@@ -54,7 +54,7 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery) -> xarray.D
     part = slice(window.start, window.stop, query.every)
     indices = {along: part, **{axis: point.index for axis, point in fixed.items()}}
     cells = {
-        direction: _shown(_line(study, direction, indices, query.min_flight), query)
+        direction: _shown(_read_line(study, direction, indices, query.min_flight), query)
         for direction in selection.directions_of(spec, query.direction)
     }
     coords = {axis: coordinate(axis, point.value) for axis, point in fixed.items()}
@@ -83,7 +83,7 @@ def rows_of(spec: SweepSpec) -> Iterator[Array]:
         yield selection.LABEL
 
 
-def _line(
+def _read_line(
     study: selection.Stored[SweepSpec], direction: str, indices: Any, min_flight: float | None
 ) -> dict[str, NDArray[Any]]:
     """The variables of the cells in one direction."""

@@ -241,11 +241,13 @@ def _define(file: Any, export: Export) -> None:
 
 def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     """A row for each cell, each attractor of a cell, or each flight."""
-    batches = chain.from_iterable(_rows(export, *block) for block in blocks)
+    batches = chain.from_iterable(_record_batches(export, *block) for block in blocks)
     write_parquet(path, batches, {**export.attributes, **export.study.attributes})
 
 
-def _rows(export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]) -> Iterator[Any]:
+def _record_batches(
+    export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]
+) -> Iterator[Any]:
     """The rows of a chunk as record batches."""
     coords = {}
     for name, values in export.stored.coordinates.items():

@@ -444,7 +444,7 @@ def contact_of(spec: SweepSpec) -> Rigid | Soft:
     return spec.model
 
 
-def _line(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
+def _direction_and_spring(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
     """Direction and spring of the cells. Raises InvalidRequest."""
     contact_of(spec)
     spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
@@ -465,7 +465,7 @@ def cell_parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call
         if study.complete:
             raise store.StoreDamaged(str(error)) from error
         return []
-    direction, spring = _line(study.spec, query)
+    direction, spring = _direction_and_spring(study.spec, query)
     indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
     top = query.gamma_max or GAMMA_MAX
     return [(follow_cells, study.spec, study.url, *indices, top, study.complete, query.doubled)]
@@ -483,7 +483,7 @@ def compute_cells(
     """
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)
-    direction, spring = _line(study.spec, query)
+    direction, spring = _direction_and_spring(study.spec, query)
     data = _with_flights(cycles.branches)
     data |= event_columns(join_events(cycles.events))
     on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
@@ -528,7 +528,7 @@ def estimate_cells(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
         for axis in DIMS:
             selection.nearest_index(spec, axis, getattr(query, axis))
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
-    _line(spec, query)
+    _direction_and_spring(spec, query)
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 

@@ -128,9 +128,9 @@ def look(
     for name in SETS:
         chosen = [cell for cell in mine if cell.set == name]
         if chosen and name == "integrator":
-            rows += (_followed(spec, url, grid, cell, tolerance) for cell in chosen)
+            rows += (_stepped(spec, url, grid, cell, tolerance) for cell in chosen)
         elif chosen:
-            rows += _looked_at(spec, url, grid, contact if name == "model" else None, chosen)
+            rows += _compared(spec, url, grid, contact if name == "model" else None, chosen)
     columns = zip(*rows, strict=True) if rows else ([] for _ in FIELDS)
     return {name: list(column) for name, column in zip(FIELDS, columns, strict=True)} | sizes
 
@@ -150,7 +150,7 @@ def _draw(
     drawn = list(_sample(random, "numerics", cells, ~certified))
     if with_model:
         drawn += _sample(random, "model", cells, np.ones_like(certified))
-    drawn += _besides(random, grid)
+    drawn += _hard_cells(random, grid)
     if spec.ramp_axis is None:
         drawn += _points(random, spec, cells // 2)
     lines = list(_thresholds(spec, outcome)) if spec.ramp_axis in (None, "gamma") else []
@@ -172,7 +172,7 @@ def _sample(random: np.random.Generator, name: str, cells: int, mask: NDArray[np
         yield _Drawn(name, i, tuple(index))
 
 
-def _besides(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_Drawn]:
+def _hard_cells(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_Drawn]:
     """The corners of the grid, and cells next to another outcome or mode."""
     outcome = grid["outcome"]
     key = outcome.astype(np.int64) + 16 * (grid["bounces"].astype(np.int64) + 2**20 * grid["periods"])
@@ -217,7 +217,7 @@ def _thresholds(spec: SweepSpec, outcome: _Array) -> Iterator[tuple[tuple[int, .
 # Looking
 
 
-def _looked_at(
+def _compared(
     spec: SweepSpec, url: str, grid: dict[str, _Array], contact: Contact | None, drawn: Sequence[_Drawn]
 ) -> Iterator[tuple[Any, ...]]:
     """The values of FIELDS for drawn cells of one set."""
@@ -274,7 +274,7 @@ def _reference(
 ) -> LineRun:
     settle, observe = (LONGER * max(periods, 1) for periods in spec.window)
     until = spec.settles_until
-    return _begun(
+    return _scalar_run(
         contact or spec.model, cells, starts, settle=settle, observe=observe,
         settle_until=None if until is None else LONGER * until,
         keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight,
@@ -282,7 +282,9 @@ def _reference(
     )  # fmt: skip
 
 
-def _begun(model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any) -> LineRun:
+def _scalar_run(
+    model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any
+) -> LineRun:
     """Cells by the scalar functions, each from its start or from rest, at their beginning."""
     gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
     plate = plate_of(model, gamma, omega, xi)
@@ -300,7 +302,7 @@ def reference_seconds(spec: SweepSpec) -> float:
     return 2.0 * LONGER * mean_periods(spec) * period_seconds(spec, alone=True)
 
 
-def _followed(
+def _stepped(
     spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: _Drawn, tolerance: float
 ) -> tuple[Any, ...]:
     """The values of FIELDS for a cell at rest or periodic, followed from its last state by time steps.
@@ -313,7 +315,7 @@ def _followed(
     start = Start(np.ascontiguousarray(ended), cell)
     bounces, periods = int(stored.bounces[0]), max(int(stored.periods[0]), 1)
     window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
-    lines = [stored, *(to_end(_begun(model, [cell], [start], **window)) for model in steppers(spec))]
+    lines = [stored, *(to_end(_scalar_run(model, [cell], [start], **window)) for model in steppers(spec))]
     own, coarse, fine = (_last(line, spec.micro_flight, bounces) for line in lines)
     deviation, decided = -1.0, len(coarse) == len(fine)
     if decided and len(own) == len(fine):
