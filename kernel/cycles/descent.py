@@ -36,7 +36,7 @@ _LAST: Final = (*CROSSINGS, *End)
 
 
 class Descent(NamedTuple):
-    """Where a stable cycle ends on the way down."""
+    """The end of a stable cycle on the way down."""
 
     gamma: float  # at the end, or the last Gamma known
     fold: Fold | None  # None if it ends at rest, where its flights vanish, or if the end is unknown

@@ -56,7 +56,7 @@ RANGE: Final = (0.05, 8.0)
 
 
 class End(StrEnum):
-    """Where a branch of a contact ends. The other kinds of events are a `Kind`."""
+    """The kinds of ends of a followed branch. Other events have a `Kind`."""
 
     STICK_VANISHES = "stick-vanishes"  # the mass ceases to stick; beyond, numbers of hops accumulate
     REST = "rest"  # its flights vanish
@@ -66,7 +66,7 @@ class End(StrEnum):
 
 
 class Event(NamedTuple):
-    """What happens at a cycle of a branch."""
+    """An event at a cycle of a branch."""
 
     kind: Kind | End
     point: Point

@@ -110,7 +110,7 @@ def conjecture(
 
 
 def lowest_end(
-    answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"], bouncing: float = math.inf
+    answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"], bouncing: float
 ) -> Thresholds:
     """The answer with the lowest Gamma at which a cycle ends, or with the reasons why that is undecided.
 
@@ -135,7 +135,7 @@ def _lowest(folds: Sequence[Fold], below: float) -> float:
 
 
 class ClosedForm(NamedTuple):
-    """What the branches (1,1) to (1, PERIODS) show below Gamma_th."""
+    """The folds, ends and flips of the branches (1,1) to (1, PERIODS) below Gamma_th."""
 
     gamma_th: float
     jump: float  # NaN if there is none

@@ -194,7 +194,7 @@ class Cycles:
         return [*rows, [late, *[0] * START, *[1] * len(self._segments)]], starts
 
     def _rest_of_chatter(self, landing: arb_mat) -> arb_mat:
-        """What the endless hops from h = e |gap'| on add to a state that sticks, with derivatives (7, .).
+        """The change of a sticking state and its derivatives (7, .) by the endless hops from h = e |gap'| on.
 
         No hop changes Q = q + gap and u = q' + gap'. They follow Q' = u, u' = c - 1 - b u - w Q + (b gap' +
         w gap): a stuck spring with a forcing. The hops take no longer than `time`: under forces from `least`

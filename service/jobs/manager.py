@@ -1,4 +1,4 @@
-"""What users do with jobs: submit, cancel, resume, delete. Changes the ledger and wakes the supervisor."""
+"""The operations of users on jobs. They change the ledger and wake the supervisor."""
 
 import hashlib
 import json

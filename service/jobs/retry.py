@@ -23,7 +23,7 @@ FATAL_AT_LAST: Final = FATAL_ERRNOS | {errno.EROFS}
 
 
 class Action(Enum):
-    """What the supervisor does with the chunk."""
+    """The action of the supervisor on the chunk."""
 
     REQUEUE = "requeue"  # nothing is counted
     CONTINUE = "continue"  # requeue before the job's other chunks; nothing is counted
@@ -74,7 +74,7 @@ class RetryPolicy:
     failed_chunks: int  # failed chunks after which a job submits no more
 
     def decide(self, error: BaseException, history: History) -> Decision:
-        """What to do after `error` with a chunk of this history."""
+        """Decide about a chunk with this history after `error`."""
         for kind, action in UNCOUNTED.items():
             if isinstance(error, kind):
                 return Decision(action)

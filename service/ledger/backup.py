@@ -19,7 +19,7 @@ SQLITE_VERSION: Final = sqlite3.sqlite_version
 
 
 class Contents(NamedTuple):
-    """What a ledger contains."""
+    """The numbers of jobs and chunks in a ledger."""
 
     jobs: int
     chunks: int  # marked done

@@ -216,7 +216,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         return LedgerUnavailable(self._refused)
 
 
-#: What an operator can do about an unusable ledger.
+#: The remedy for an unusable ledger, for operators.
 MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
 
 NOT_LOCAL: Final = (

@@ -194,11 +194,6 @@ class WriteTransaction(ReadTransaction):
         """Execute a statement; the number of rows that it has changed."""
         return self._sql.execute(sql, values).rowcount
 
-    def _insert(self, table: str, *values: Column, otherwise: str = "REPLACE") -> bool:
-        """Insert a row, or `otherwise` replace or ignore it; whether the table has changed."""
-        marks = ", ".join("?" * len(values))
-        return self._execute(f"INSERT OR {otherwise} INTO {table} VALUES ({marks})", *values) == 1
-
     # Jobs
 
     def insert(self, job: NewJob, now: float, store: str | None = None) -> None:
@@ -296,7 +291,7 @@ class WriteTransaction(ReadTransaction):
 
     def remember_key(self, key: str, body: str, job: JobRecord, now: float) -> None:
         """Record the use of an idempotency key."""
-        self._insert("keys", key, body, job.seq, now)
+        self._execute("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?)", key, body, job.seq, now)
 
     def keep_answer(self, job: JobRecord, name: str, query: str, parts: list[Any], sentence: str) -> None:
         """Keep the answer of workers for a result of the job, and only the last ANSWERS of the result."""
@@ -330,13 +325,12 @@ class WriteTransaction(ReadTransaction):
         self, job: JobRecord, reports: Iterable[ChunkReport], seconds_left: float | None = None
     ) -> None:
         """Mark stored chunks as done, unless they are marked. seconds_left: until the job is done."""
+        sql = "INSERT OR IGNORE INTO chunks VALUES (?, ?, ?, ?, ?, ?)"
         marked = []
         for report in reports:
             outcomes = json.dumps(report.outcomes, separators=(",", ":"))
-            if self._insert(
-                "chunks", job.seq, report.index, report.cells, report.seconds, outcomes, report.computed,
-                otherwise="IGNORE",
-            ):  # fmt: skip
+            chunk = (report.index, report.cells, report.seconds, outcomes, report.computed)
+            if self._execute(sql, job.seq, *chunk):
                 marked.append(report)
         self._add(
             job,
@@ -373,7 +367,7 @@ class WriteTransaction(ReadTransaction):
     def note_failures(self, job: JobRecord, failures: Iterable[Failure]) -> None:
         """Record chunks that were given up."""
         for failure in failures:
-            self._insert("failures", job.seq, *failure)
+            self._execute("INSERT OR REPLACE INTO failures VALUES (?, ?, ?, ?, ?, ?)", job.seq, *failure)
 
     def _unmark(self, job: JobRecord, chunks: Iterable[int]) -> list[int]:
         """Unmark chunks. Returns those that were marked."""

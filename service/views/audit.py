@@ -361,7 +361,7 @@ def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
 
 def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
     """The cells computed again. Raises InvalidRequest for a sweep that is not done, OutdatedJob."""
-    check_kernel(study.kernel_version)
+    check_kernel(study)
     if not study.complete:
         raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
     spec, contact = study.spec, _contact(study)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
 from service.pictures import ATTRACTORS, UNDECIDED, legend_beside, values_at
-from service.views.selection import Stored, attractor_label, nearest_index, read_stored
+from service.views.selection import Stored, attractor_label, nearest_values, read_stored
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
@@ -40,7 +40,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     an attractor has the number 0.
     """
     spec, plane = study.spec, study.spec.protocol
-    points = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}
+    points = nearest_values(spec, query, reversed(AXES))
     rows = stored_arrays(spec)
     indices = {axis: point.index for axis, point in points.items()}
     stored = read_stored(study, [row.name for row in rows], indices)
@@ -85,8 +85,7 @@ def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> 
 
 def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
     """The starts of one cell. Raises InvalidRequest for a cell that the grid does not have."""
-    for axis in AXES:
-        nearest_index(spec, axis, getattr(query, axis))
+    nearest_values(spec, query, AXES)
     return Estimate({"row": spec.protocol.rows, "column": spec.protocol.columns})
 
 

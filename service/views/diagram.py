@@ -50,7 +50,7 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery) -> xarray.D
     unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
     """
     spec, along = study.spec, query.along
-    fixed, window = selection.fixed_axes(spec, along, dict(query)), _window(spec, query)
+    fixed, window = selection.fixed_axes(spec, query), _window(spec, query)
     part = slice(window.start, window.stop, query.every)
     indices = {along: part, **{axis: point.index for axis, point in fixed.items()}}
     cells = {
@@ -108,7 +108,7 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
-    selection.fixed_axes(spec, query.along, dict(query))
+    selection.fixed_axes(spec, query)
     selection.check_order(query, "flight_start", "flight_stop")
     directions = selection.directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}

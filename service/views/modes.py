@@ -45,7 +45,7 @@ Window = dict[str, slice]
 
 
 class Hysteresis(IntEnum):
-    """How a cell's two directions compare."""
+    """The difference between a cell's two directions."""
 
     NONE = 0  # they agree, or one of them is unknown
     MODE = 1  # different outcomes or modes

@@ -447,7 +447,7 @@ def contact_of(spec: SweepSpec) -> Rigid | Soft:
 def _direction_and_spring(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
     """Direction and spring of the cells. Raises InvalidRequest."""
     contact_of(spec)
-    spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
+    spring = selection.nearest_values(spec, query, ("omega", "xi"))
     return selection.directions_of(spec, query.direction)[0], spring
 
 
@@ -458,7 +458,7 @@ def cell_parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call
     """
     if isinstance(study.spec, OrbitsSpec):
         return []
-    selection.check_kernel(study.kernel_version)
+    selection.check_kernel(study)
     try:
         store.stored_forms(study.url, study.forms)  # checks the store
     except store.StoreMissing as error:
@@ -499,7 +499,7 @@ def compute_cells(
 def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
     """Branches and events of one spring of a study of orbits."""
     spec, top = study.spec, query.gamma_max or study.spec.gamma_max
-    spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in DIMS}
+    spring = selection.nearest_values(spec, query, DIMS)
     x = selection.read_stored(study, tuple(_STORED), {axis: point.index for axis, point in spring.items()})
     x["multiplier"] = np.stack([x["multiplier"], x["other_multiplier"]], axis=-1)
     one = np.ones(spec.points, np.int32)
@@ -525,8 +525,7 @@ def estimate_cells(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
         for name in ("direction", "doubled"):
             if getattr(query, name):
                 raise InvalidRequest.of(name, "is of the cells of a sweep; this study is of kind orbits")
-        for axis in DIMS:
-            selection.nearest_index(spec, axis, getattr(query, axis))
+        selection.nearest_values(spec, query, DIMS)
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
     _direction_and_spring(spec, query)
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}

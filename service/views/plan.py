@@ -44,7 +44,7 @@ _ROWS: Final = (
 
 
 class PlanQuery(Query):
-    """What the recommended setting keeps to."""
+    """Limits on the recommended setting."""
 
     budget: Annotated[Number, Field(gt=0)] | None = Field(None, description="s that it takes at most")
     tolerance: Annotated[Number, Field(gt=0, lt=1)] | None = Field(

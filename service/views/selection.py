@@ -7,7 +7,7 @@ flights.
 
 import json
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any, Final, Generic, TypeVar
@@ -98,11 +98,11 @@ class Stored(Generic[_Spec_co]):
         return {**self.attributes, "spec": json.dumps(self.spec.as_submitted(), ensure_ascii=False)}
 
 
-def check_kernel(version: str) -> None:
+def check_kernel(study: Stored[Any]) -> None:
     """Raise OutdatedJob for cells of another kernel version, which this release would continue."""
-    if version != KERNEL_VERSION:
+    if study.kernel_version != KERNEL_VERSION:
         raise OutdatedJob(
-            f"the sweep was computed by kernel version {version}; this release computes version "
+            f"the sweep was computed by kernel version {study.kernel_version}; this release computes version "
             f"{KERNEL_VERSION}: submit the sweep again, or read what is stored"
         )
 
@@ -135,11 +135,16 @@ def nearest_index(spec: Specification, axis: str, value: float | None) -> GridVa
     return GridValue(index, float(values[index]))
 
 
-def fixed_axes(spec: SweepSpec, along: str, values: Mapping[str, Any]) -> dict[str, GridValue]:
-    """The grid values of all axes but `along`. Raises InvalidRequest, also for a value of `along`."""
-    if values.get(along) is not None:
-        raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
-    return {axis: nearest_index(spec, axis, values.get(axis)) for axis in reversed(AXES) if axis != along}
+def nearest_values(spec: Specification, query: Any, axes: Iterable[str]) -> dict[str, GridValue]:
+    """The grid values nearest to the fields of a query, by axis. Raises InvalidRequest as `nearest_index`."""
+    return {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in axes}
+
+
+def fixed_axes(spec: SweepSpec, query: Any) -> dict[str, GridValue]:
+    """The grid values of all axes but `query.along`. Raises InvalidRequest, also for a value of that axis."""
+    if getattr(query, query.along) is not None:
+        raise InvalidRequest.of(query.along, "is the axis the diagram goes along; leave it out")
+    return nearest_values(spec, query, (axis for axis in reversed(AXES) if axis != query.along))
 
 
 def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:

@@ -443,7 +443,7 @@ def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence
     omega = spec.axis_values("omega").tolist()
     calls: list[Call] = []
     if query.tolerance is not None or query.predict == "cells":
-        selection.check_kernel(study.kernel_version)
+        selection.check_kernel(study)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
         calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]

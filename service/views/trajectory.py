@@ -287,7 +287,7 @@ def compute(study: selection.Stored[_Spec], query: TrajectoryQuery) -> xarray.Da
     the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
     stored state is where the computation stopped.
     """
-    selection.check_kernel(study.kernel_version)
+    selection.check_kernel(study)
     return motion(_cell(study.spec, query), _start(study, query))
 
 
@@ -300,7 +300,7 @@ def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
 
 def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
     """The nearest cell of the grid, and its samples. Only a cell of a sweep from rest settles again."""
-    values = {axis: selection.nearest_index(spec, axis, getattr(query, axis)).value for axis in AXES}
+    values = {axis: nearest.value for axis, nearest in selection.nearest_values(spec, query, AXES).items()}
     settle = 0
     if not isinstance(spec, SweepSpec):
         if query.attractor is None:
@@ -317,7 +317,7 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
 def _start(study: selection.Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
     """The stored state of the attractor, or of a ramp's cell at its end; None for a cell from rest."""
     spec = study.spec
-    indices = {axis: selection.nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
+    indices = {axis: nearest.index for axis, nearest in selection.nearest_values(spec, query, AXES).items()}
     if query.attractor is not None:
         arrays = selection.read_stored(study, ("attractor_outcome", "attractor_state"), indices)
         stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
