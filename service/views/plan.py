@@ -1,7 +1,7 @@
 """The plan of a sweep: what each effort and grid would cost, and how much of its picture would be wrong."""
 
 from collections.abc import Callable, Sequence
-from math import inf
+from math import inf, prod
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
@@ -65,14 +65,14 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
     """
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
-        whole = _with_effort(spec, effort)
+        whole = SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
         core_seconds = cost(whole).core_seconds
         for part in PARTS:
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
             share = cells(whole, steps) / cells(whole, WHOLE)
-            chosen.append(Setting(whole, steps, core_seconds * share / max(workers, 1)))
+            chosen.append(Setting(whole, steps, core_seconds * share / max(workers, 1), effort))
     return chosen
 
 
@@ -92,15 +92,16 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     """The table of a plan."""
     shares, chosen = result
     specs = [level(setting.spec, setting.steps) for setting in settings]
+    sizes = [prod(spec.shape) for spec in specs]
     data: dict[str, Any] = {
-        "effort": [_effort(setting.spec) for setting in settings],
+        "effort": [setting.effort for setting in settings],
         "grid": [" × ".join(map(str, spec.shape[1:])) for spec in specs],
-        "cells": [int(np.prod(spec.shape)) for spec in specs],
+        "cells": sizes,
         "seconds": [setting.seconds for setting in settings],
         "share": [share.share for share in shares],
         "low": [share.low for share in shares],
         "high": [share.high for share in shares],
-        "bytes": [bytes_per_cell(spec) * int(np.prod(spec.shape)) for spec in specs],
+        "bytes": [bytes_per_cell(spec) * size for spec, size in zip(specs, sizes, strict=True)],
         "frontier": frontier(settings, shares),
         "recommended": [i == chosen for i in range(len(settings))],
         "spec": [spec.model_dump_json() for spec in specs],
@@ -111,16 +112,6 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     if limits:
         attrs["note"] = f"no setting surely keeps to {' and '.join(limits)}; the nearest is recommended"
     return dataset(variables(_ROWS, data), {}, attrs)
-
-
-def _with_effort(spec: SweepSpec, effort: str) -> SweepSpec:
-    """The sweep with the windows of an effort."""
-    return SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
-
-
-def _effort(spec: SweepSpec) -> str:
-    """The effort whose windows a sweep has."""
-    return next(name for name in EFFORTS if _with_effort(spec, name) == spec)
 
 
 def draw(result: xarray.Dataset, axes: "Axes") -> None:

@@ -198,9 +198,20 @@ def compared(
 def chosen(
     spec: SweepSpec, models: Mapping[str, tuple[float, _Array]], outcome: NDArray[np.uint8]
 ) -> ModelChoice:
-    """The cheapest model within the tolerance, from the results of `compared` for a sample."""
+    """The cheapest model within the tolerance, else the exact one, from the results of `compared`."""
     auto, table = _auto(spec), [_judged(spec, kind, *model, outcome) for kind, model in models.items()]
-    return _choice(auto, table, next((row for row in table if _is_within(auto, row)), table[-1]))
+    row = next((row for row in table if _is_within(auto, row)), table[-1])
+    # the ledger keeps the reason: its wording must not change
+    within = f"within {auto.tolerance:g} rad of exact soft in {1.0 - MOST_BEYOND:.0%} of the cells"
+    verdict = f"{row.model}: the cheapest {within}"
+    if not _is_within(auto, row):
+        verdict = f"{row.model}: no model is {within}, and this is the best"
+    most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
+    flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
+    others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
+    percentiles = ", ".join(f"{model.model} {_in_rad(model.percentile_95)}" for model in table)
+    reason = f"{verdict} ({flights}; {others}; 95th percentiles: {percentiles})"
+    return ModelChoice(model=row.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
 
 def _judged(
@@ -231,20 +242,6 @@ def _is_within(auto: Auto, row: ModelComparison) -> bool:
     others = row.cells - row.repeating
     unlike, _ = bounds(row.unlike, row.unlike, others, ENDLESS)
     return row.most <= MOST_BEYOND and (others == 0 or unlike <= OWN_SCATTER)
-
-
-def _choice(auto: Auto, table: list[ModelComparison], row: ModelComparison) -> ModelChoice:
-    # the ledger keeps the reason: its wording must not change
-    within = f"within {auto.tolerance:g} rad of exact soft in {1.0 - MOST_BEYOND:.0%} of the cells"
-    verdict = f"{row.model}: the cheapest {within}"
-    if not _is_within(auto, row):
-        verdict = f"{row.model}: no model is {within}, and this is the best"
-    most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
-    flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
-    others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
-    percentiles = ", ".join(f"{row.model} {_in_rad(row.percentile_95)}" for row in table)
-    reason = f"{verdict} ({flights}; {others}; 95th percentiles: {percentiles})"
-    return ModelChoice(model=row.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
 
 def _in_rad(percentile: float | None) -> str:

@@ -33,11 +33,12 @@ MIN_SECONDS = 0.05
 
 
 class Setting(NamedTuple):
-    """An effort and a grid. `spec` has the effort's windows and the grid of the whole sweep."""
+    """An effort and a grid."""
 
-    spec: SweepSpec
+    spec: SweepSpec  # with the effort's windows, and the grid of the whole sweep
     steps: Steps
     seconds: float  # expected
+    effort: str
 
 
 class Measured(NamedTuple):
