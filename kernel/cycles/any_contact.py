@@ -88,11 +88,10 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
             outside.append(seed)
         elif not any(lies_on(seed, line) for line in followed):
             followed.append(both_ways(seed, span, points, joins))
-    for seed in outside if not followed else ():
-        inside = _from_outside(seed, span, points)
-        if inside is not None:
-            return [both_ways(inside, span, points)]
-    return followed
+    if followed:
+        return followed
+    inside = next(filter(None, (_from_outside(seed, span, points) for seed in outside)), None)
+    return [] if inside is None else [both_ways(inside, span, points)]
 
 
 def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Point | None:

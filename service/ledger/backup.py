@@ -26,7 +26,7 @@ class Contents(NamedTuple):
 
 
 def backup(ledger: Path, file: Path) -> Contents:
-    """Copy a ledger to `file`, whole or not at all. A service may be using it.
+    """Copy a ledger, as it is at one moment, to `file`, whole or not at all. A service may be using it.
 
     Raises LedgerUnavailable if a file cannot be read or written, LedgerUnusable if the ledger is damaged.
     """

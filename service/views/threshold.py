@@ -503,12 +503,14 @@ def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, N
 def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[str, NDArray[Any]]:
     """The refined thresholds in place of those on the grid; missing for a job that has not begun."""
     thresholds: dict[str, NDArray[Any]] = {}
-    for name in Refined._fields if refined else ():
-        thresholds[name] = np.concatenate([getattr(part, name) for part in refined])
-    for name in () if refined else ("up", "down"):
-        status = data[f"{name}_status"]
-        thresholds[name] = np.full(len(status), np.nan)
-        thresholds[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
+    if refined:
+        for name in Refined._fields:
+            thresholds[name] = np.concatenate([getattr(part, name) for part in refined])
+    else:
+        for name in ("up", "down"):
+            status = data[f"{name}_status"]
+            thresholds[name] = np.full(len(status), np.nan)
+            thresholds[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
     if "up_computed" in data:  # refinement computes the cells that decide
         thresholds["up_computed"] = thresholds["up_status"] == Status.FOUND
     return thresholds
