@@ -209,7 +209,7 @@ def lies_on(point: Point, line: Followed) -> bool:
 
 
 def _same_flights(a: Point, b: Point) -> bool:
-    """Whether the longest flights of two cycles agree, as many as the one with fewer flights has."""
+    """Whether the flights of two cycles agree, the longest first, up to the shorter list."""
     pairs = zip(*(sorted(point.flights, reverse=True) for point in (a, b)), strict=False)
     return all(abs(x - y) < _SAME_FLIGHTS for x, y in pairs)
 

@@ -178,7 +178,7 @@ class Schedule:
                 placed = self._placed(job, False, active, starting)
                 if placed is not None:
                     return placed
-                has_room = False  # nor for the jobs behind it, which have more left
+                has_room = False  # the jobs behind it have more left, and so no place either
         return None
 
     def _placed(self, job: Job, is_turn: bool, active: Mapping[str, Job], starting: int) -> Next | None:

@@ -344,7 +344,7 @@ class Supervisor:
         """Run a job, or fail it if it cannot start. Raises one of `store.UNREACHABLE`."""
         job = self._ledger.find(job_id)
         if job is None:
-            return  # deleted meanwhile
+            return  # it was deleted
         try:
             if (chosen := self._choices.chosen(job)) is None:
                 return  # this thread is woken when the model is chosen
@@ -355,11 +355,11 @@ class Supervisor:
         except LedgerUnavailable:
             raise  # not the job's fault: the step is retried
         except Exception as error:
-            self._ledger.check()  # nor is a disk that cannot be written
+            self._ledger.check()  # a disk that cannot be written is not the job's fault either
             log.exception("job %s cannot start", job_id)
             self._fail(job, f"the job cannot start: {type(error).__name__}: {error}")
             return
-        with self._ledger.writing() as ledger:  # it may have been cancelled or deleted meanwhile
+        with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
             current = ledger.unfinished_record(job)
             if current is not None:
                 ledger.run(current, time.time())

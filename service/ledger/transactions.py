@@ -244,7 +244,7 @@ class WriteTransaction(ReadTransaction):
         self.update(job, choice=choice, chunk_shape=json.dumps(chunk_shape), chunks_total=chunks_total)
 
     def update(self, job: JobRecord, **columns: Column) -> None:
-        """Change columns of the job that need no other change, such as `pinned`."""
+        """Set columns of a job, without a check of transitions."""
         settings = ", ".join(f"{name} = ?" for name in columns)
         self._execute(f"UPDATE jobs SET {settings} WHERE seq = ?", *columns.values(), job.seq)
 

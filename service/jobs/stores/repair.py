@@ -72,7 +72,7 @@ def _invalidate(ledger: Ledger, job: JobRecord, prepared: PreparedJob, chunks: S
     with ledger.writing() as writing:
         current = writing.find(job.id)
         if current is None or current.seq != job.seq:
-            return []  # deleted, and perhaps accepted again
+            return []  # it was deleted, even if it was accepted again
         if job.outdated:
             places = {chunk: prepared.describe(prepared.plan[chunk]) for chunk in chunks}
             lost = [Failure(chunk, place, error, None, tries=0) for chunk, place in places.items()]
