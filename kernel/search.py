@@ -14,11 +14,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.creep import LONGEST, Crept, creep, rotation, run
-from kernel.cycles.any_contact import Followed, both_ways, lies_on, repeats, seeds
+from kernel.cycles.any_contact import both_ways, lies_on, repeats, seeds
 from kernel.cycles.contact_thresholds import above, lowest_stable, rest_ends
 from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
 from kernel.cycles.descent import Descent, cycle_of, descend, ended, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
+from kernel.cycles.follow import Followed
 from kernel.cycles.roots import Floats
 from kernel.cycles.starts import cycles_at, start_on_cycle
 from kernel.cycles.thresholds import closed_form

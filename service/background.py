@@ -1,4 +1,4 @@
-"""Processes that compute answers at a lower priority, while the service keeps answering requests."""
+"""Processes that compute answers at a lower priority, so that the service keeps answering requests."""
 
 import ctypes
 import multiprocessing
@@ -21,10 +21,10 @@ Result = TypeVar("Result")
 
 #: Added to the niceness of these processes: two of them take a tenth of two busy processors.
 NICER: Final = 10
-#: A process that uses more memory than this after an answer exits, returning the memory to the system. The
-#: imports and loads of all kinds of answers take 350 MB, and seconds of a processor in each new process.
+#: A process that uses more bytes than this after an answer ends, to return its memory. All imports and loads
+#: take 350 MB, and a new process seconds of a processor for them.
 MOST_KEPT: Final = 400 * 2**20
-#: Growth in bytes after which a process tells the C library to return memory.
+#: Growth in bytes after which a process has the C library return memory.
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
 IDLE_SECONDS: Final = 20.0
@@ -34,7 +34,7 @@ def _do_nothing() -> None: ...
 
 
 class Asker:
-    """The client of an answer, by its connection. When it has left, what computes for it ends."""
+    """The client of an answer, by its connection. When it leaves, the computation for it ends."""
 
     def __init__(self, connection: object = None) -> None:
         self._lock = threading.Lock()
@@ -42,7 +42,7 @@ class Asker:
         self.connection, self.left = connection, False
 
     def run(self, work: Callable[[], Result]) -> Result:
-        """Run `work`, whose answers from `Processes` are all for this client."""
+        """Run `work`; all answers that it gets from `Processes` are for this client."""
         token = _ASKER.set(self)
         try:
             return work()
@@ -50,13 +50,13 @@ class Asker:
             _ASKER.reset(token)
 
     def leave(self) -> None:
-        """End the current computation, and begin no other."""
+        """End the current computation. No other begins."""
         with self._lock:
             self.left = True
             self._stop()
 
     def on_leave(self, stop: Callable[[], None]) -> None:
-        """Call `stop`, and no earlier one, when the client leaves; at once if it has left."""
+        """Set the function to call when the client leaves; calls it at once if the client has left."""
         with self._lock:
             self._stop = stop
             if self.left:
@@ -67,12 +67,12 @@ _ASKER: Final[ContextVar[Asker | None]] = ContextVar("asker", default=None)
 
 
 def asker() -> Asker:
-    """The client for which this thread computes; one that never leaves outside of `Asker.run`."""
+    """The client for which this thread computes; outside of `Asker.run` one that never leaves."""
     return _ASKER.get() or Asker()
 
 
 class InThisProcess:
-    """Computes in the caller's thread: for tests, and for services of a single user."""
+    """Computes in the caller's thread, for tests and for a single user."""
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         return function(*arguments)
@@ -81,8 +81,8 @@ class InThisProcess:
 class Processes:
     """At most `count` processes, each started when all others are busy; they end with this process.
 
-    A process ends if it holds more than `most_kept` bytes after an answer, or, except for the last one, after
-    `idle_seconds` without work: the next answer need not wait for a process to start.
+    A process ends if it holds more than `most_kept` bytes after an answer. After `idle_seconds` without work
+    all but one end: the next answer need not wait for a process to start.
     """
 
     def __init__(self, count: int, *, most_kept: int = MOST_KEPT, idle_seconds: float = IDLE_SECONDS) -> None:
@@ -95,22 +95,22 @@ class Processes:
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
-        kept, client = 0, asker()
+        held, client = 0, asker()
         try:
             process = self._take()
             client.on_leave(process.stop)
-            succeeded, value, kept = process.call(function, arguments)
+            succeeded, value, held = process.call(function, arguments)
             client.on_leave(_do_nothing)
             if client.left:
                 raise EOFError("it was stopped")
         except (EOFError, OSError) as error:
-            kept = self._most_kept + 1
+            held = self._most_kept + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
-        except BaseException:  # an answer that cannot be unpickled; what follows it is still in the pipe
-            kept = self._most_kept + 1
+        except BaseException:  # such as an answer that cannot be unpickled: the pipe may hold the rest
+            held = self._most_kept + 1
             raise
         finally:
-            self._put_back(process, kept)
+            self._put_back(process, held)
         if not succeeded:
             raise value
         result: Result = value
@@ -137,10 +137,10 @@ class Processes:
         self._started.add(process)
         return process
 
-    def _put_back(self, process: "_Process | None", kept: int) -> None:
+    def _put_back(self, process: "_Process | None", held: int) -> None:
         """Free the process, or the place of one that could not be started."""
         with self._changed:
-            if process is not None and kept <= self._most_kept and not self._closed:
+            if process is not None and held <= self._most_kept and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
                 if len(self._idle) > 1:
@@ -168,8 +168,8 @@ class Processes:
             self._changed.notify()
 
 
-#: What computes answers: `run(function, *arguments)` raises the errors of the function, and NotComputed. May
-#: be used from any thread; for processes the function and its arguments must be picklable.
+#: Computes answers: `run(function, *arguments)` raises the errors of the function, and NotComputed. May be
+#: used from any thread. For processes the function and its arguments must be picklable.
 Background = InThisProcess | Processes
 
 
@@ -179,7 +179,7 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_compute, args=(theirs,), name="bounce-answers", daemon=True)
-        # Ctrl-C is for the service; a process inherits the signals blocked in the thread that starts it.
+        # Ctrl-C is for the service: the process inherits the signals that this thread blocks
         resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
@@ -189,20 +189,20 @@ class _Process:
         theirs.close()  # so that each side notices the other's death
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any, int]:
-        """Whether it succeeded, the result or the exception, and the memory of the process in bytes.
+        """Call a function: whether it succeeded, its result or exception, and the bytes of the process.
 
-        Raises EOFError or OSError if it died.
+        Raises EOFError or OSError if the process died.
         """
         self._connection.send((function, arguments))
         succeeded, value = self._connection.recv()
         return succeeded, value, self._connection.recv()
 
     def stop(self) -> None:
-        """End it soon; a thread that waits in `call` notices."""
+        """End the process soon; a thread that waits in `call` notices."""
         self._process.terminate()
 
     def end(self) -> None:
-        with self._ending:  # two threads closing a connection may close a foreign file
+        with self._ending:  # two threads that close a connection may close another file
             self._process.terminate()
             self._process.join()
             self._connection.close()
@@ -212,7 +212,7 @@ def _compute(connection: Connection) -> None:
     """Answer calls until the service ends."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     os.nice(NICER)
-    if hasattr(os, "SCHED_BATCH"):  # Linux: they do not interrupt a worker that runs
+    if hasattr(os, "SCHED_BATCH"):  # Linux: batch processes do not interrupt a running worker
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     threading.Thread(target=_end_with_parent, daemon=True).start()
     use_cache()
@@ -231,17 +231,17 @@ def _compute(connection: Connection) -> None:
         except (TypeError, AttributeError, pickle.PicklingError):
             connection.send((False, RuntimeError(f"cannot be sent: {answer[1]!r}")))
         del function, arguments, answer
-        kept = _bytes_held()
-        if kept > trimmed + MUCH:
+        held = _bytes_held()
+        if held > trimmed + MUCH:
             return_memory()
-            kept = trimmed = _bytes_held()
-        connection.send(kept)
+            held = trimmed = _bytes_held()
+        connection.send(held)
 
 
 def _end_with_parent() -> None:
-    """End this process, whatever it computes, when the service has ended.
+    """End this process when the service has ended, at once, whatever it computes.
 
-    At once: on a busy machine a process of low priority would take many seconds to free its memory.
+    On a busy machine a process of low priority would otherwise take many seconds to free its memory.
     """
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -1,8 +1,8 @@
-"""A sweep within a time: levels from coarse to fine, each complete, of which the last one is the answer.
+"""A sweep within a time: complete levels from coarse to fine, of which the last one is the answer.
 
-The first two levels are small, a third tells their speed, the next fills the time. Each begins only if it
-fits into what is left; what does not end in time is cancelled, so that the time cannot be missed. It contains
-compiling, waiting for workers and storing. The audit of the answer takes a part of it.
+The first two levels are small, the third measures the speed, and the next fills the time. A level begins only
+if it fits into the rest of the time, and is cancelled when the time is over. The time includes compiling,
+waiting for workers and storing. The audit of the answer takes a part of it.
 """
 
 import time
@@ -15,37 +15,37 @@ from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 from worker.sweep.protocols import KINDS, PROTOCOLS
 
-#: Share of a budget for the second level by the table of costs, and for the audit of the answer.
+#: Shares of a budget for the second level, by the table of costs, and for the audit of the answer.
 SECOND, AUDIT = 0.05, 0.1
-#: Part of the cells that the second level has at most: finer ones can then differ by little.
+#: Largest part of the sweep's cells in the second level: so finer levels can differ by little.
 SECOND_PART: Final = 1 / 12
-#: The third level has at most this many times the cells of the second, if there is one: both tell a level's
-#: time to begin from that of its cells. The first, the coarsest, may have waited for its kernel to compile.
+#: Most cells of the third level, in multiples of the second. Both separate the time in which a level begins
+#: from that of its cells. The first level, the coarsest, may have waited for its kernel to compile.
 THIRD: Final = 2.0
-#: Share for what follows: stopping workers, moving the result.
+#: Share for the end: stopping workers, moving the result.
 END: Final = 0.02
-#: Seconds below which no audit begins: its kernel may have to compile, which nothing interrupts.
+#: No audit begins with fewer seconds left: its kernel may have to compile, which cannot be interrupted.
 LEAST_AUDIT: Final = 5.0
-#: Seconds of a budget that may be enough for a level.
+#: Seconds that may be enough for a level.
 LEAST: Final = 0.5
-#: The next level begins if this many times its expected time is left.
+#: A level begins if this multiple of its expected time is left.
 MARGIN: Final = 1.15
 
 
 class Runner(Protocol):
-    """What computes levels."""
+    """Computes levels and audits them."""
 
     def seconds(self, spec: SweepSpec) -> float:
         """The expected time of a sweep, by the table of costs."""
 
     def is_done(self, spec: SweepSpec) -> bool:
-        """Whether a sweep is complete already."""
+        """Whether a sweep is complete."""
 
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
-        """Compute a sweep, for `seconds` at most; whether it is complete."""
+        """Compute a sweep for at most `seconds`; whether it is complete then."""
 
     def audit(self, spec: SweepSpec, seconds: float) -> str | None:
-        """Audit a complete sweep, for `seconds` at most; what the audit says, None if it has not ended."""
+        """Audit a complete sweep for at most `seconds`; the audit's sentence, None if it did not end."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class Level:
     spec: SweepSpec
     steps: Steps
     cells: int
-    seconds: float  # that it took
-    measured: bool = True  # it was not complete before
+    seconds: float  # that the level took
+    measured: bool = True  # the level was not complete before
 
 
 @dataclass
@@ -68,7 +68,7 @@ class Answer:
 
 
 def check(kind: object, budget: object) -> None:
-    """Raise SpecInvalid for a kind of study that has no levels, and for a budget that is no time."""
+    """Raise SpecInvalid for a kind of study without levels, and for a budget that is not a time."""
     is_time = isinstance(budget, int | float) and budget > 0.0
     rule = "" if is_time else f"must be seconds above 0, not {describe(budget)}"
     if kind in KINDS and kind not in PROTOCOLS:
@@ -88,37 +88,37 @@ def within(
 ) -> Answer:
     """Compute the finest level that fits into `budget` seconds. Raises SpecInvalid if none does.
 
-    `show` is told what begins, and how many seconds are left; the time began at `began`, by default now.
-    `known`: a level that is complete already, perhaps.
+    show: called with a text when a step begins, and with the seconds left. began: when the time began; by
+    default now. known: steps of a level that may be complete.
     """
     began, answer = clock() if began is None else began, Answer()
-    asked, budget = budget, budget * (1.0 - END)
+    whole_budget, budget = budget, budget * (1.0 - END)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second
     second = SECOND * budget * by_table
-    done = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
-    steps: Steps | None = done or (WHOLE if second >= whole else coarsest(spec))
+    complete = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
+    steps: Steps | None = complete or (WHOLE if second >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         measured = not runner.is_done(part)
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}", max(left, 0.0))
         now = clock()
-        # The first level may take all of the time: without it there is no answer.
+        # the first level may take all of the time: without it there is no answer
         if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
         took = clock() - now
         answer.levels.append(Level(part, steps, cells(spec, steps), took, measured))
         left = (budget - (clock() - began) - reserved) / MARGIN
-        timed = [each for each in answer.levels if each.measured]
-        if not timed:  # nothing tells the speed but the table, which may be wrong by half
+        timed = [done for done in answer.levels if done.measured]
+        if not timed:  # only the table gives the speed, which may be wrong by half
             steps = finest(spec, max(second, 0.5 * left * by_table), steps)
         else:
             steps = _finer(spec, timed, steps, second, left)
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
-        enough = 2.0 * max(asked, took, LEAST, runner.seconds(part))
+        enough = 2.0 * max(whole_budget, took, LEAST, runner.seconds(part))
         raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s are left"
@@ -133,9 +133,9 @@ def within(
 def _finer(
     spec: SweepSpec, levels: Sequence[Level], steps: Steps, second: float, seconds: float
 ) -> Steps | None:
-    """The next level after `steps`, within `seconds`, by `levels` that were timed; None if none fits.
+    """The steps of the next level after `steps`; None if none fits into `seconds`.
 
-    Of about `second` cells if one was timed.
+    levels: those that were timed. second: cells of the second level.
     """
     last, whole, most = levels[-1], cells(spec, WHOLE), _affordable(levels, seconds)
     small = most
@@ -147,9 +147,9 @@ def _finer(
 
 
 def _affordable(levels: Sequence[Level], seconds: float) -> float:
-    """Cells that a time allows, by the speed of the last level.
+    """Number of cells that a time allows, by the speed of the last level.
 
-    A level also takes a time to begin, which two levels tell from that of its cells.
+    Two levels separate the time in which a level begins from that of its cells.
     """
     *before, last = levels
     rate, start = last.seconds / last.cells, 0.0
@@ -161,7 +161,7 @@ def _affordable(levels: Sequence[Level], seconds: float) -> float:
 
 
 def _thinning(steps: Steps) -> str:
-    """What a level takes of each axis: `, every 3rd gamma`."""
+    """The values that a level takes of each axis, in words: `, every 3rd gamma`."""
     pairs = zip(AXES, steps, strict=True)
     named = [f"{_part(step)} {axis}" for axis, step in pairs if step > 1]
     return f", {' and '.join(named)}" if named else ""

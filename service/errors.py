@@ -10,9 +10,9 @@ from worker.spec.errors import BounceError, Problem
 
 
 class ServiceError(BounceError):
-    """Base class; the text is fit to show to a user, `problems` names fields and the rules they break.
+    """Base class. The text may be shown to users; `problems` names fields and the rules that they break.
 
-    `status` is that of HTTP: 500 for errors that no request causes.
+    `status` is the HTTP status: 500 for errors that no request causes.
     """
 
     status: ClassVar[int] = 500
@@ -68,7 +68,7 @@ class Busy(ServiceError, status=429):
 
 
 class NotComputed(ServiceError, status=503):
-    """No worker could compute the response."""
+    """No worker could compute the answer."""
 
 
 class RunFailed(ServiceError):
@@ -100,4 +100,4 @@ class DataFolderBusy(NotStarted):
 
 
 class LedgerUnusable(NotStarted):
-    """A newer version wrote the ledger, the file is no ledger, or its rows are not what a service writes."""
+    """A newer version wrote the ledger, the file is not a ledger, or it has rows that no service writes."""

@@ -1,4 +1,4 @@
-"""The choices of queries: file formats, named as the ending of a file's name is, and predictions.
+"""The choices of queries: file formats, named by their file endings, and predictions.
 
 Standard library only: the client and the command line import this without the service.
 """
@@ -13,14 +13,14 @@ PictureFormat = Literal["png", "svg", "pdf"]
 DatasetFormat = Literal["json", "bin", "nc", "csv", "parquet"]
 #: A whole study in one file; html: a sweep as a page that needs no service.
 ExportFormat = Literal["nc", "parquet", "html"]
-#: What a row of an exported table is: a cell, or an attractor of one; or each of their flights.
+#: The rows of an exported table: cells, or attractors of cells; or their flights.
 ExportLayout = Literal["cells", "flights"]
 
-#: Which thresholds of a sweep are predicted: none, those of up to 200 values of omega, or all; or all from
-#: cycles of the sweep's cells, or by a search.
+#: The thresholds of a sweep that are predicted: none, those of up to 200 values of omega, all; all from
+#: cycles of the sweep's cells, or all by a search.
 Predict = Literal["none", "some", "all", "cells", "search"]
 
-#: Bytes of a shared file that is imported.
+#: Limit on the bytes of a shared file that is imported.
 MOST_SHARED: Final = 32 * 2**20
 
 TABLES: Final[tuple[str, ...]] = get_args(TableFormat)

@@ -5,9 +5,9 @@
     sweep = run({"gamma": {"start": 0.5, "stop": 6, "num": 111}, "omega": 0.5, "xi": 0.26})
     sweep = run("sweep.toml", store="sweep.zarr")
 
-The service's jobs compute it, in their own data folder and on threads of this process: kernels run without
-the interpreter's lock. So an interrupted run continues where it stopped, and a service would store the same
-bytes.
+The service's jobs compute it, in a data folder of their own and on threads of this process: kernels run
+without the interpreter's lock. So an interrupted run continues where it stopped, and a service stores the
+same bytes.
 """
 
 import errno
@@ -61,15 +61,16 @@ from worker.work import compile_for
 
 #: Seconds between two checks of the job's progress.
 LOOK_SECONDS: Final = 0.05
-#: Seconds that an interrupted run waits for its chunks to notice the cancel.
+#: Seconds that an interrupted run waits for its chunks to stop.
 CANCEL_SECONDS: Final = 0.8
 
-#: Say before a run what it may take, if it is this long.
+#: The expected time of a run is shown if it is at least this, seconds.
 SAID_SECONDS: Final = 10.0
 
-#: Announce a compilation after this many seconds: loading what is compiled takes less on an idle machine.
+#: A compilation is shown after this many seconds; loading compiled kernels takes less on an idle machine.
 MESSAGE_SECONDS: Final = 1.0
-#: What a kernel may take to compile, and the least budget within which it is compiled beside the levels.
+#: Seconds that a kernel may take to compile, and of the least budget in which an audit's kernel is compiled
+#: too.
 COMPILING_SECONDS, COMPILING_BUDGET = 20.0, 60.0
 
 #: Called with the job after every check.
@@ -186,11 +187,11 @@ def run_to_file(
     use_cache()
     target, parsed = Path(output), from_json(body(spec))
     if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
-        formats = ", ".join(each for each in (*EXPORTS, "zarr") if each != "html")
+        formats = ", ".join(name for name in (*EXPORTS, "zarr") if name != "html")
         raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
     query: Query = _query(diagram.DiagramQuery, line or {})
     settings = _settings(partial_of(target))
-    # Before computing for hours.
+    # check before computing for hours
     if format in EXPORTS:
         exports.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
@@ -229,19 +230,19 @@ def thresholds(omega: float, xi: float, **query: Any) -> xarray.Dataset:
     """
     use_cache()
     view = threshold.SPRING
-    asked = _query(view.query, {"omega": omega, "xi": xi, **query})
-    view.estimate(None, asked)
-    parts: Sequence[Call] = view.parts(None, asked) if view.parts else ()
-    return view.compute(None, asked, *(function(*given) for function, *given in parts))
+    spring = _query(view.query, {"omega": omega, "xi": xi, **query})
+    view.estimate(None, spring)
+    parts: Sequence[Call] = view.parts(None, spring) if view.parts else ()
+    return view.compute(None, spring, *(function(*given) for function, *given in parts))
 
 
 def partial_of(output: Path) -> Path:
-    """The folder that computes an output's study; complete results are moved from there."""
+    """The data folder in which an output is computed; complete results are moved from there."""
     return output.with_name(f"{output.name}.partial")
 
 
 class Computed(NamedTuple):
-    """A done job, and what its audit says, if it has one."""
+    """A done job, and the sentence of its audit, if it has one."""
 
     record: JobRecord
     job: PreparedJob
@@ -249,7 +250,7 @@ class Computed(NamedTuple):
 
     @property
     def attributes(self) -> dict[str, str]:
-        """What a Dataset says beside its store."""
+        """Attributes of a Dataset beside those of its store."""
         return {} if self.audit is None else {"audit": self.audit}
 
 
@@ -263,7 +264,7 @@ def computed(
     budget: float | None = None,
     began: float | None = None,
 ) -> Iterator[Computed]:
-    """A study's done job, in the data folder `folder`, which is created and kept. Raises as `run`."""
+    """Compute a study in the data folder `folder`, which is kept; yields its done job. Raises as `run`."""
     began = time.monotonic() if began is None else began
     use_cache()
     parsed = from_json(body(spec))
@@ -271,10 +272,7 @@ def computed(
         budgets.check(parsed.protocol.kind, budget)
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
-    with (
-        open_ledger(settings) as ledger,
-        closing(Inline(workers or cores())) as executor,
-    ):
+    with open_ledger(settings) as ledger, closing(Inline(workers or cores())) as executor:
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)
@@ -284,7 +282,8 @@ def computed(
             runner = _Runner(manager, ledger, executor, progress)
             if budget is None:
                 expected = runner.seconds(parsed)
-                if progress is True and expected >= SAID_SECONDS:  # by the first chunk nothing is measured
+                # before the first chunk nothing is measured
+                if progress is True and expected >= SAID_SECONDS:
                     display_line(f"expected by the table of costs: {duration(expected)}")
                 yield runner.done(parsed)
             else:
@@ -294,7 +293,7 @@ def computed(
 
 
 class _Runner:
-    """Computes studies in this process: one, or the levels of a budget."""
+    """Computes studies in this process: one study, or the levels of a budget."""
 
     def __init__(
         self, manager: JobManager, ledger: Ledger, executor: Inline, progress: bool | ProgressCallback
@@ -304,20 +303,20 @@ class _Runner:
         self._last: Computed | None = None
 
     def done(self, spec: Any, deadline: float = math.inf) -> Computed:
-        """A study's done job. Raises as `_wait`."""
+        """Compute a study; its done job. Raises as `_wait`."""
         record = self._wait(self._manager.submit(spec).job.id, deadline)
         return Computed(record, self._manager.preparer.prepare(record))
 
     def within(self, spec: Any, budget: float, began: float) -> Computed:
-        """The finest level that fits."""
+        """Compute the finest level that fits into the budget."""
 
         def show(text: str, left: float) -> None:
             if self._progress is True:
                 display_line(f"{text}, {left:.0f} s left" if left else text)
 
-        found = budgets.within(spec, budget, self, show, began=began)
+        answer = budgets.within(spec, budget, self, show, began=began)
         assert self._last is not None
-        return self._last._replace(audit=found.audit)
+        return self._last._replace(audit=answer.audit)
 
     def compute(self, spec: Any, seconds: float) -> bool:
         try:
@@ -342,13 +341,14 @@ class _Runner:
         _, late = wait(calls, timeout=seconds)
         for call in late:
             call.cancel()
-        found = None if late else audit.compute(study, query, *(call.result() for call in calls))
-        return None if found is None else str(found.attrs["sentence"])
+        if late:
+            return None
+        return str(audit.compute(study, query, *(call.result() for call in calls)).attrs["sentence"])
 
     def _wait(self, job_id: str, deadline: float) -> JobRecord:
-        """The job once it is done. Raises RunFailed, and TimeoutError beyond `deadline`, monotonic.
+        """Wait until a job is done; its record. Raises RunFailed, and TimeoutError after `deadline`.
 
-        If interrupted, cancels the job, so that its chunks stop; stored results stay.
+        If interrupted, it cancels the job, so that its chunks stop. Stored results stay.
         """
         find = self._ledger.find
         try:
@@ -377,7 +377,7 @@ class _Runner:
 def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = False) -> None:
     """Raise FileExistsError for a folder with another study, whose results would be removed.
 
-    levels: whether those of a budget may be there.
+    levels: whether levels of the study may be there.
     """
 
     def belongs(other: Any) -> bool:
@@ -388,9 +388,8 @@ def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = Fal
     with ledger.reading() as reading:
         others = [job for job in reading.search() if not belongs(renewed(job.spec))]
     if others:
-        raise FileExistsError(
-            errno.EEXIST, "holds a run of another specification; remove it first", str(folder)
-        )
+        rule = "holds a run of another specification; remove it first"
+        raise FileExistsError(errno.EEXIST, rule, str(folder))
 
 
 def cores() -> int:
@@ -404,17 +403,17 @@ def _settings(folder: Path) -> Settings:
 
 
 def _compile(spec: Any, progress: bool | ProgressCallback, *, audited: bool) -> None:
-    """Compile in one interruptible thread rather than in all workers at once.
+    """Compile a study's kernels in one thread rather than in all workers at once; can be interrupted.
 
-    audited: afterwards, while levels are computed, for their audit too.
+    audited: afterwards, beside the levels, compile for their audit, too.
     """
-    if is_open(spec):  # choosing its model compiles
+    if is_open(spec):  # choosing the model compiles
         return
-    # In a thread: the compiler blocks Python for seconds, and may lose an exception.
+    # in a thread: the compiler blocks Python for seconds, and may lose an exception
     thread = ThreadPoolExecutor(1, thread_name_prefix="compile")
     compiled = thread.submit(compile_for, spec)
     while not wait([compiled], LOOK_SECONDS).done:
-        if progress is True and any(time.time() - each.began > MESSAGE_SECONDS for each in compilations()):
+        if progress is True and any(time.time() - x.began > MESSAGE_SECONDS for x in compilations()):
             label = CONTACT_MODELS[spec.model.kind].label
             with display_elapsed(f"compiling the {label}, or loading it from the cache"):
                 wait([compiled])
@@ -425,9 +424,9 @@ def _compile(spec: Any, progress: bool | ProgressCallback, *, audited: bool) -> 
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:
-    """Whether `target` is the study's store, which appears there once complete.
+    """Whether `target` is the study's complete store; False if it does not exist.
 
-    Raises FileExistsError if it is anything else.
+    Raises FileExistsError if it is anything else, FileNotFoundError without the folder around it.
     """
     if not target.exists() and not target.is_symlink():
         if not target.absolute().parent.is_dir():
@@ -445,15 +444,8 @@ def _is_computed(target: Path, spec: Specification) -> bool:
 
 
 def _status(record: JobRecord) -> JobStatus:
+    started = record.started and datetime.fromtimestamp(record.started, UTC).isoformat()
+    fields = {"id": record.id, "name": record.name, "state": str(record.state), "error": record.error}
     status = JobStatus()
-    status._update(
-        {
-            "id": record.id,
-            "name": record.name,
-            "state": str(record.state),
-            "error": record.error,
-            "started": record.started and datetime.fromtimestamp(record.started, UTC).isoformat(),
-            "progress": record.progress(time.time()),
-        }
-    )
+    status._update({**fields, "started": started, "progress": record.progress(time.time())})
     return status

@@ -1,6 +1,6 @@
-"""Pictures of results on axes of matplotlib, drawn by the client, by views and for documents.
+"""Draws results on axes of matplotlib, for the client, for views and for documents.
 
-Needs xarray alone, so that the client stays light; matplotlib is loaded when something is drawn.
+Needs only xarray, so that the client stays light. Drawing loads matplotlib.
 """
 
 import json
@@ -21,22 +21,23 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-#: The colours of the project by their meaning, each on white and on a dark background; the page reads the
+#: The colours of the project by their meaning, each on white and on a dark background. The page reads the
 #: same file. Pictures are on white.
 PALETTE: Final[dict[str, Any]] = json.loads((Path(__file__).parent / "static/palette.json").read_bytes())
-#: Of lines by what they show: cells from rest, ramped up or down, Eq. 25, cycles in closed form, the masses.
+#: Colours of lines by what they show: cells from rest, ramped up or down, Eq. 25, cycles in closed form,
+#: masses.
 LINES: Final[dict[str, str]] = {name: on_white for name, (on_white, _) in PALETTE["lines"].items()}
-#: Of attractors by their number; of the others of a plane; of undecided starts.
+#: Colours of attractors by their number, of the other attractors of a plane, and of undecided starts.
 ATTRACTORS: Final = tuple(on_white for on_white, _ in PALETTE["attractors"])
 OTHER_ATTRACTORS: Final[str] = PALETTE["other_attractors"][0]
 UNDECIDED: Final[str] = PALETTE["labels"]["missing"][0]
-GREY: Final = "#a6a6a6"  # of what stands behind the results
+GREY: Final = "#a6a6a6"  # for anything behind the results
 WARNING: Final[str] = LINES["cursor"]
 
 _WAYS: Final = {"rest": "from rest", "up": "ramp up", "down": "ramp down"}
 
-#: Classes of the cells of a map, in the order of the legend, and their colours: cycles by their plate periods
-#: and by whether they have fewer bounces, as many or more; longer cycles; what is no cycle, by its label.
+#: Colours of the classes of a map's cells, in the order of the legend: cycles by their plate periods, and by
+#: whether they have fewer, equal or more bounces; longer cycles; other cells by their label.
 _BOUNCES: Final = (", fewer bounces", "", ", more bounces")
 CLASSES: Final = (
     {
@@ -48,13 +49,14 @@ CLASSES: Final = (
     | {name: on_white for name, (on_white, _) in PALETTE["labels"].items()}
 )
 
-#: How queries name these classes.
+#: The names of these classes in queries.
 CLASS_NAMES: Final = (
     *(f"{n}-{than}" for n, _ in enumerate(PALETTE["periods"], 1) for than in ("fewer", "equal", "more")),
     "longer", *PALETTE["labels"],
 )  # fmt: skip
 
-#: Classes of certified cells by the modulus of their leading multiplier, up to these, and their colours.
+#: Upper limits of the classes of certified cells, by the modulus of their leading multiplier; and their
+#: colours.
 MARGINS: Final = (0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
 MARGIN_CLASSES: Final = {
     f"{low:g} to {high:g}": colour
@@ -80,30 +82,30 @@ FLIGHT: Final = "flight time (rad)"
 #: The contact of every closed form.
 IDEAL: Final = "rigid, restitution 0"
 
-#: Over the cells of a map whose directions differ, and what a legend calls them.
+#: The hatch over cells of a map whose directions differ, and its name in the legend.
 HATCH: Final = "////"
 DIFFER: Final = "up and down differ"
 
 
-#: Height of a strip of modes, of the axes.
+#: Height of a strip of modes, relative to the axes.
 STRIP: Final = 0.022
 
-#: The end of a logarithmic axis over its beginning, where the linear one begins at zero.
+#: Ratio of the ends of a logarithmic axis whose linear one begins at zero.
 LOG_RANGE: Final = 1000.0
-#: Logarithmic axes of a smaller ratio have ticks in equal steps; how ticks begin.
+#: Logarithmic axes with a smaller ratio have ticks in equal steps. First digits of ticks.
 LINEAR_RANGE: Final = 30.0
 ROUND: Final = (1.0, 2.0, 5.0)
 
 #: Dots per inch of a picture.
 DPI: Final = 200
 PERIOD: Final = 2 * np.pi  # of the plate, rad
-#: Relative size of the points of up, drawn first, and of down over it: up shows as a rim where both agree.
+#: Relative sizes of the points of up, drawn first, and of down: where both agree, up shows as a rim.
 OVERLAID: Final = (1.7, 0.8)
 #: Size of the marker of the larger points in a legend.
 LEGEND_DOT: Final = 8.0
 #: More points than this become an image inside an SVG.
 MANY_POINTS: Final = 5_000
-#: More flights of a direction than this are drawn as density, in bins of a dot; pixels of the axes.
+#: More flights of a direction than this are drawn as density, in bins of a dot. Pixels of the axes.
 DENSE_POINTS: Final = 200_000
 COLUMNS_AND_ROWS: Final = (1200, 680)
 #: Opacity of a bin with one flight, and how many flights make it opaque.
@@ -117,14 +119,23 @@ def along_of(diagram: xarray.Dataset) -> str:
     return along
 
 
+def by_direction(result: xarray.Dataset) -> list[xarray.Dataset]:
+    """The results of each direction."""
+    return [result.isel(direction=i) for i in range(result.sizes.get("direction", 0))] or [result]
+
+
+def values_at(result: xarray.Dataset, axes: Iterable[str]) -> str:
+    """The values of axes at which a result was computed, for titles."""
+    return ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in axes)
+
+
 def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) -> None:
     """The flights of every cell, each direction in its colour: dots, or density where dots would overlap.
 
-    The axes have room for flights of `longest`, rad; 0 for those of the diagram. A cell at rest has no
-    flight and so no point.
+    longest: the flight, rad, for which the axes have room; 0 for the longest of the diagram. A cell at rest
+    has no flight and so no point.
     """
-    along, times = along_of(diagram), diagram.flight_time.values
-    lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
+    along, times, lines = along_of(diagram), diagram.flight_time.values, by_direction(diagram)
     values = diagram[along].values
     _scale(axes, values, longest or float(np.nanmax(times, initial=0.0)) or PERIOD)
     axes.set_ylim(diagram.attrs.get("flight_start"), diagram.attrs.get("flight_stop"))
@@ -132,7 +143,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
         flights, way = line.flight_time.transpose(along, "flight").values, str(line.direction.values)
         shown = np.isfinite(flights)
         x, y = values[np.nonzero(shown)[0]], flights[shown]
-        # The dot of marker "." is half its size wide.
+        # the dot of marker "." is half as wide as its size
         style: Any = {"marker": ".", "linestyle": "none", "markeredgewidth": 0, "color": LINES[way],
                       "markersize": 2 * dot_of(len(values)) * size, "label": _WAYS[way]}  # fmt: skip
         if len(x) > DENSE_POINTS:
@@ -154,7 +165,7 @@ def dot_of(cells: int) -> float:
 def _draw_density(
     axes: "Axes", x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], colour: str
 ) -> None:
-    """Flights at these values of the axis in bins of a dot's size, darker where there are more of them."""
+    """Flights at values of the axis, as bins of a dot's size that are darker with more flights."""
     from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_rgba
 
     columns, rows = (int(n * 72 / DPI / dot_of(len(values))) for n in COLUMNS_AND_ROWS)
@@ -182,7 +193,7 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
 
 
 def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
-    """Make the axes that the attribute `log` names logarithmic, over what is above zero, others linear."""
+    """Make the axes in the attribute `log` logarithmic, for values above zero, and the others linear."""
     for name in "xy" if "log" in result.attrs else "":
         if name in result.attrs["log"]:
             _make_logarithmic(axes, name)
@@ -204,7 +215,7 @@ def _make_logarithmic(axes: "Axes", name: str) -> None:
 
 
 def _is_geometric(values: NDArray[np.float64]) -> bool:
-    """Whether the values go in equal ratios and not in equal steps."""
+    """Whether values have equal ratios and not equal steps."""
     if len(values) < 3 or values[0] <= 0:
         return False
     steps, ratios = np.diff(values), np.diff(np.log(values))
@@ -224,7 +235,7 @@ def _draw_periods(axes: "Axes") -> None:
 
 
 def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi: float) -> None:
-    """Γ_th of Eq. 25, where a spring at rest begins to bounce."""
+    """Γ_th of Eq. 25, at which a spring at rest begins to bounce."""
     onset = float(threshold(omega, xi))
     if values[0] <= onset <= values[-1]:
         axes.axvline(onset, color=LINES["threshold"], linewidth=0.8, linestyle=(0, (4, 3)), zorder=2)
@@ -235,7 +246,7 @@ def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi:
 
 
 def draw_branches(ax: "Axes", branches: xarray.Dataset, along: str = "gamma") -> None:
-    """Flight times over what varies: solid where stable, dashed where not, thin where no cycle can be."""
+    """Flight times over the parameter: solid if stable, dashed if unstable, thin dots if not admissible."""
     for i in range(branches.sizes["branch"]):
         branch = branches.isel(branch=i)
         gamma, flight = branch[along].values, branch.flight_time.values
@@ -245,13 +256,13 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset, along: str = "gamma") ->
             (~stable & admissible, "--", 1.0),
             (~admissible, ":", 0.6),
         ):
-            shown[1:] |= shown[:-1]  # to where the next piece begins
+            shown[1:] |= shown[:-1]  # up to the beginning of the next piece
             x = np.where(shown, gamma, np.nan)
             ax.plot(x, flight, color=LINES["branch"], zorder=4, linestyle=style, linewidth=width)
 
 
 def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
-    """Branches with axes: flight times over what varies, as `draw_branches`."""
+    """Branches as `draw_branches`, with labels of the axes and a title."""
     along = branches.attrs.get("along", "gamma")
     draw_branches(ax, branches, along)
     fixed = ("gamma", "omega", "xi") if along != "gamma" and branches.gamma.size else ("omega", "xi")
@@ -262,36 +273,34 @@ def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
 
 
 def classes_of(labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> NDArray[np.int64]:
-    """The index into CLASSES of each cell, by its label or outcome and its mode."""
+    """The index into CLASSES of each cell, from its label or outcome and its mode."""
     cycles = 3 * (periods - 1) + 1 + np.sign(bounces - periods)
     cycles = np.where(periods > len(PALETTE["periods"]), CLASS_NAMES.index("longer"), cycles)
     cells = np.full(labels.shape, CLASS_NAMES.index("missing"))
     for code, label in enumerate(LABELS):
-        here = labels == code
-        cells[here] = cycles[here] if label == "periodic" else CLASS_NAMES.index(label)
+        labelled = labels == code
+        cells[labelled] = cycles[labelled] if label == "periodic" else CLASS_NAMES.index(label)
     return cells
 
 
 def draw_returns(ax: "Axes", diagram: xarray.Dataset) -> None:
-    """Each flight of one cell over the one before, and the diagonal on which cycles of one flight are."""
-    lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
+    """Each flight of one cell over the flight before, and the diagonal, where cycles of one flight lie."""
     times = diagram.flight_time.values
     low, high = np.nanmin(times, initial=np.inf), np.nanmax(times, initial=0.0)
     ends = (max(min(low, high) - 0.05 * high, 0.0), 1.05 * high or PERIOD)
-    for line in lines:
+    for line in by_direction(diagram):
         flights, way = line.flight_time.values.ravel(), str(line.direction.values)
         flights = flights[np.isfinite(flights)]
         ax.plot(flights[:-1], flights[1:], ".", color=LINES[way], markersize=5, label=_WAYS[way], zorder=3)
     ax.plot(ends, ends, color="0.7", linewidth=0.8, zorder=1)
-    title = ", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES)
-    ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel=FLIGHT, ylabel="next flight time (rad)", title=title)
+    ax.set(xlim=ends, ylim=ends, aspect="equal", title=values_at(diagram, AXES))
+    ax.set(xlabel=FLIGHT, ylabel="next flight time (rad)")
 
 
 def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
     """The largest Lyapunov exponent along the axis with its standard error, the others faint."""
     along = along_of(diagram)
-    lines = [diagram.isel(direction=i) for i in range(diagram.sizes.get("direction", 0))] or [diagram]
-    for line in lines:
+    for line in by_direction(diagram):
         exponents = line.lyapunov.transpose(along, "exponent").values
         way, finite = str(line.direction.values), np.where(np.isfinite(exponents), exponents, np.nan)
         style: Any = {"color": LINES[way], "linewidth": 1.0}
@@ -302,14 +311,14 @@ def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
         )  # fmt: skip
     ax.axhline(0.0, color="0.6", linewidth=0.8, zorder=1)
     ax.set(xlabel=AXES[along], ylabel=r"Lyapunov exponents $\lambda$ (per plate period)")
-    ax.set_title(", ".join(f"{SYMBOLS[axis]} = {diagram[axis].item():g}" for axis in AXES if axis != along))
+    ax.set_title(values_at(diagram, (axis for axis in AXES if axis != along)))
 
 
 def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: NDArray[np.float64]) -> None:
-    """Measured points with their errors, and below them what they differ by from the nearest computed one.
+    """Measured points with their errors, and below them their residuals from the nearest computed values.
 
-    points: a `service.client.measured.Measured`; computed (n, k): the values at the n values of the axis,
-    NaN where there are fewer. A point beyond the axis by more than half a step has no residual.
+    points: a `service.client.measured.Measured`. computed (n, k): values at the n values of the axis, NaN
+    where there are fewer. A point more than half a step beyond the axis has no residual.
     """
     cell = np.clip(np.searchsorted(edges(axis), points.x) - 1, 0, len(axis) - 1)
     differences = points.y[:, None] - computed[cell]
@@ -321,7 +330,7 @@ def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: 
                   "elinewidth": 1.0, "zorder": 6}  # fmt: skip
     ax.errorbar(points.x, points.y, points.error, label="measured", **style)
     figure = ax.get_figure(root=True)
-    if figure is not None and figure.get_layout_engine() is not None:  # which would not make the room
+    if figure is not None and figure.get_layout_engine() is not None:  # it would make no room
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
     x, y, width, height = ax.get_position().bounds
@@ -334,16 +343,16 @@ def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: 
     ax.set_xlabel("")
     ax.tick_params(labelbottom=False)
     near = np.abs(residual[np.isfinite(residual)])
-    said = f"{len(near)} of {len(residual)} points"
+    summary = f"{len(near)} of {len(residual)} points"
     if len(near):
-        said += f": median {np.median(near):.2g}, largest {near.max():.2g}"
-    below.set_title(said, loc="right", fontsize=8, pad=2)
+        summary += f": median {np.median(near):.2g}, largest {near.max():.2g}"
+    below.set_title(summary, loc="right", fontsize=8, pad=2)
 
 
 def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
-    """Above the flights of a diagram, a strip of each direction with the modes of its cells, and a legend.
+    """Above a diagram, a strip of each direction with the modes of its cells, and a legend.
 
-    Classes that the attribute `hide` names are left out.
+    Classes in the attribute `hide` are left out.
     """
     labels = diagram["label" if "label" in diagram else "outcome"].values
     cells = np.atleast_2d(classes_of(labels, diagram.bounces.values, diagram.periods.values))
@@ -361,7 +370,7 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
 
 
 def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
-    """Above a diagram the values of the other axes, and how it was computed."""
+    """Above a diagram, the values of the other axes, and how it was computed."""
     fixed = (axis for axis in AXES if axis != result.attrs["along"])
     title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
     caption = re.sub("(?<=along )[a-z]+", lambda axis: SYMBOLS[axis[0]], result.attrs["caption"])
@@ -371,7 +380,7 @@ def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
 
 
 def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
-    """Entries of a legend for the classes that cells have, by their number."""
+    """Legend entries of the classes that cells have; cells: indices into `classes`."""
     from matplotlib.patches import Patch
 
     names = list(classes)
@@ -382,10 +391,10 @@ def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
 
 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
-    """The cells of the plane (Γ, Ω) by the plate periods of their cycle, or by what else they do.
+    """The cells of the plane (Γ, Ω) in the colours of their classes.
 
-    With `multiplier`, certified cells by their margin of stability. Where the attribute `hide` says that
-    classes are hidden, cells that are missing are left out.
+    With `multiplier`, certified cells by their margin of stability. With the attribute `hide`, missing cells
+    are left out, as hidden cells are missing.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
@@ -418,13 +427,13 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
         ax.set_yticks(modes.omega.values)
     way = str(modes.direction.values) if "direction" in modes else "rest"
     ramped = "" if way == "rest" else f", {_WAYS[way]}"
-    ax.set_title(f"{SYMBOLS['xi']} = {modes.xi.item():g}, {counted}{ramped}")
+    ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
 
 
 def draw_cells(
     ax: "Axes", x: NDArray[Any], y: NDArray[Any], codes: NDArray[Any], colours: Iterable[str], **options: Any
 ) -> None:
-    """Cells between these sides, each in the colour of its code, which counts from 0."""
+    """Cells between these sides, each in the colour of its code, from 0."""
     from matplotlib.colors import ListedColormap
 
     shades = ListedColormap(list(colours))
@@ -432,13 +441,13 @@ def draw_cells(
 
 
 def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, **options: Any) -> None:
-    """A legend on the right of the axes, from `left` widths of them."""
+    """A legend to the right of the axes; left: its place, in widths of the axes."""
     place: Any = {"loc": "upper left", "bbox_to_anchor": (left, 1.0), "borderaxespad": 0.0}
     ax.legend(handles=entries, frameon=False, **place, **options)
 
 
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
-    """Where bouncing begins and ends over Ω: as computed, by Eq. 25, in closed form, and searched."""
+    """Thresholds over Ω: computed, by Eq. 25, in closed form, and searched."""
     omega, predicted = thresholds.omega.values, thresholds.predicted_down.values
     causes = thresholds.cause.values if "cause" in thresholds else np.full(len(omega), "")
     searched = np.array([str(cause).endswith(", searched") for cause in causes])
@@ -458,14 +467,13 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
         number = int((causes == status).sum())
         if number:
             ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
-    title = f"{SYMBOLS['xi']} = {thresholds.xi.item():g}"
-    ax.set(xlabel=AXES["omega"], ylabel=r"threshold $\Gamma$", title=title)
+    ax.set(xlabel=AXES["omega"], ylabel=r"threshold $\Gamma$", title=values_at(thresholds, ["xi"]))
     ax.set_ylim(thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
     ax.legend(frameon=False)
 
 
 def edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ends of the cells around increasing values; in equal ratios where these are."""
+    """Ends of the cells around increasing values; with equal ratios if the values have equal ratios."""
     if len(values) == 1:
         return np.array([values[0] - 0.5, values[0] + 0.5])
     if _is_geometric(values):
@@ -475,7 +483,7 @@ def edges(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def metadata(format: str, origin: Mapping[str, str]) -> dict[str, str | None]:
-    """The origin under the names that the format has for it, without the time of drawing."""
+    """The origin under the format's names of metadata, without the time of drawing."""
     program = f"bouncing-spring {origin['release']}"
     described = json.dumps(dict(origin), ensure_ascii=False)
     if format == "png":

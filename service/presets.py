@@ -1,4 +1,4 @@
-"""Preset sweeps: those behind each figure of the paper.
+"""Preset sweeps: the sweeps behind each figure of the paper.
 
 The paper's contact is soft (Eqs. 9-12), with a restitution set "as closest as possible to zero". Eq. 12 holds
 for the adhesive law, under which the exact solution allows e = 0: there are no small hops after a landing,
@@ -104,11 +104,8 @@ def _spring_and_ball(number: int, *, xi: float, restitution: float) -> tuple[Swe
         "micro_flight": MICRO_FLIGHT,
     }  # fmt: skip
     spring = {**sweep, "name": f"figure {number}, spring", "model": SHALLOW_SOFT}
-    return spring, {
-        **sweep,
-        "name": f"figure {number}, ball",
-        "model": {"kind": "ball", "restitution": restitution},
-    }
+    ball = {**sweep, "name": f"figure {number}, ball", "model": {"kind": "ball", "restitution": restitution}}
+    return spring, ball
 
 
 def _figure_5() -> tuple[Sweep, ...]:
@@ -137,13 +134,8 @@ def _figure_7() -> tuple[Sweep, ...]:
         "name": "figure 7", "gamma": _axis(0.01, 6.0, 600), "omega": list(OMEGAS), "xi": XI,
         "protocol": _ramp("gamma"), "model": SOFT, "settle": 300, "observe": 100, "exponents": 1,
     }  # fmt: skip
-    near_two = {
-        **sections,
-        "gamma": GAMMA_NEAR_TWO,
-        "omega": 1.0,
-        "protocol": {"kind": "rest"},
-        "settle": LONG_SETTLE,
-    }
+    at_rest = {"protocol": {"kind": "rest"}, "settle": LONG_SETTLE}
+    near_two = {**sections, "gamma": GAMMA_NEAR_TWO, "omega": 1.0, **at_rest}
     elastic = {f"e = {e:g}": {**SOFT, "restitution": e} for e in ELASTIC}
     contacts = {"the contact of the figure": SOFT, **CONTACTS, **elastic}
     return (

@@ -150,8 +150,7 @@ class Settings(BaseSettings):
     )
     max_reads: Count = Field(1, description="Diagrams, maps and tables read or drawn at a time.")
     answer_memory: Count = Field(
-        512 * 2**20,
-        description="Bytes of all answers together until they are sent.",
+        512 * 2**20, description="Bytes of all answers together until they are sent."
     )
     turn_seconds: Positive = Field(
         5.0, description="Seconds that a costly request waits before it is refused."
@@ -169,8 +168,7 @@ class Settings(BaseSettings):
     active_jobs: Count = Field(32, description="Jobs with their plans in memory.")
     window: Count = Field(2, description="Chunks in flight per worker; chunks of larger jobs do not count.")
     window_seconds: Annotated[float, Field(ge=0, le=1e9)] = Field(
-        0.5,
-        description="Core-seconds in flight per worker, if that is more chunks than `window`.",
+        0.5, description="Core-seconds in flight per worker, if that is more chunks than `window`."
     )
     longest_chunk_seconds: Positive = Field(
         LONGEST_SECONDS,

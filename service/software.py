@@ -12,12 +12,12 @@ from kernel.params import KERNEL_VERSION
 
 LIBRARIES: Final = ("numpy", "numba", "dask", "distributed", "zarr", "fastapi", "uvicorn")
 
-#: Runs of a job on different software that are kept, the first ones.
+#: Limit on the runs of a job that are kept; further ones are not recorded.
 MAX_RUNS: Final = 100
 
 
 class Software(NamedTuple):
-    """What runs in this process."""
+    """The versions of the software in this process."""
 
     release: str
     kernel_version: str
@@ -27,14 +27,14 @@ class Software(NamedTuple):
 
 @cache
 def software() -> Software:
-    """The versions of what is installed."""
+    """The versions of the installed software."""
     libraries = {name: version(name) for name in LIBRARIES}
     return Software(version("bouncing-spring"), KERNEL_VERSION, platform.python_version(), libraries)
 
 
 @cache
 def processor() -> str:
-    """Kind of processor, and its name where Linux tells it: `x86_64, AMD EPYC 7B13`."""
+    """Kind of processor, and on Linux its name: `x86_64, AMD EPYC 7B13`."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(errors="replace").splitlines():
             if line.startswith("model name"):
@@ -43,9 +43,9 @@ def processor() -> str:
 
 
 def with_this_run(runs: str, now: float) -> str:
-    """A job's runs, as JSON, with that of this process, unless the last one was on the same software."""
-    known: list[dict[str, Any]] = json.loads(runs)
-    here = software()._asdict() | {"processor": processor()}
-    del here["kernel_version"]
-    same = known and {**known[-1], "began": None} == {**here, "began": None}
-    return runs if same or len(known) >= MAX_RUNS else json.dumps([*known, {**here, "began": now}])
+    """A job's runs, as JSON, with the run of this process, unless the last one had the same software."""
+    earlier: list[dict[str, Any]] = json.loads(runs)
+    run = software()._asdict() | {"processor": processor()}
+    del run["kernel_version"]
+    same = earlier and {**earlier[-1], "began": None} == {**run, "began": None}
+    return runs if same or len(earlier) >= MAX_RUNS else json.dumps([*earlier, {**run, "began": now}])

@@ -1,7 +1,7 @@
-"""Access tokens: their rule, files of named ones; and the user's own service: its address and its token.
+"""Access tokens, files of named tokens, and the address and token of a user's own service.
 
-A service records its address in a file of its data folder, where commands of the same user find it, and holds
-a lock on the file, so one left by a killed service does not count. With `token=auto` its token is beside it.
+A service records its address in a file of its data folder, where commands of the same user find it. It locks
+the file, so that one left by a killed service does not count. With `token=auto` its token is beside it.
 Imports only the standard library, because clients do, and every command may look for a service.
 """
 
@@ -20,20 +20,20 @@ from urllib.parse import urlsplit
 
 from worker.files import complete_file
 
-#: Replaces a token: the service creates one, its clients look for it.
+#: Stands for a token that the service creates and its clients look up.
 AUTO: Final = "auto"
 
-#: Characters of an access token; a shorter one could be guessed.
+#: Fewest characters of an access token; a shorter one could be guessed.
 MIN_LENGTH: Final = 16
 RULE: Final = f"must be at least {MIN_LENGTH} ASCII characters without spaces"
 
-#: The files of the data folder with the token that the service has created, and with its address.
+#: Files of the data folder with the token that the service created, and with its address.
 FILE_NAME: Final = "token.json"
 ADDRESS_FILE: Final = "service.json"
 
 #: The address of a service by default.
 DEFAULT_URL: Final = "http://127.0.0.1:8000"
-#: Addresses that mean every interface, and the local address of such a service.
+#: Addresses that stand for every interface, and the local address of such a service.
 _EVERY: Final = {"http://0.0.0.0:": "http://127.0.0.1:", "http://[::]:": "http://[::1]:"}
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._@-]{0,63}")
@@ -64,7 +64,7 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
     `private`: the file must be closed to other users. Raises TokenFileUnusable.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe without waiting for a writer
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # does not wait for the writer of a pipe
         os.set_blocking(descriptor, True)
         with open(descriptor, "rb") as file:  # noqa: PTH123 - a descriptor, not a path
             status, content = os.fstat(file.fileno()), file.read(_MAX_BYTES)
@@ -92,7 +92,7 @@ def read_tokens(path: Path, *, private: bool) -> dict[str, str]:
 
 
 def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
-    """The rule that a line breaks. Quotes the name, which is no secret, unless it may be a token."""
+    """The rule that a line breaks, or None. Quotes the name, which is no secret, unless it may be a token."""
     if not token:
         return "must be NAME: TOKEN"
     if not _NAME.fullmatch(name):
@@ -107,13 +107,13 @@ def _problem(name: str, token: str, tokens: dict[str, str]) -> str | None:
 
 
 def own_token(folder: Path) -> str:
-    """The token that this data folder's service has created, or a new one. Raises OSError.
+    """The token that the service of a data folder has created, or a new one. Raises OSError.
 
     Only this user can read its file.
     """
-    kept = _read(folder / FILE_NAME, "token")
-    if kept is not None and is_valid(kept):
-        return kept
+    token = _read_text(folder / FILE_NAME, "token")
+    if token is not None and is_valid(token):
+        return token
     token = secrets.token_urlsafe(32)
     with complete_file(folder / FILE_NAME, private=True) as file:
         file.write(json.dumps({"token": token}).encode())
@@ -130,7 +130,7 @@ def find_token(port: int, folder: Path | None = None) -> str | None:
     url = find_service(folder)
     if url is None or urlsplit(url).port != port:
         return None
-    token = _read(folder / FILE_NAME, "token")
+    token = _read_text(folder / FILE_NAME, "token")
     return token if token is not None and is_valid(token) else None
 
 
@@ -141,9 +141,9 @@ def data_folder() -> Path:
 
 @contextmanager
 def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
-    """A function that records the address of this process's service on `folder`; removed after the block.
+    """A function that records the address of this process's service on `folder`. The block's end removes it.
 
-    If it cannot be written, commands do not find the service.
+    If the address cannot be written, commands do not find the service.
     """
     path = folder / ADDRESS_FILE
     with ExitStack() as recorded:
@@ -160,7 +160,7 @@ def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
                 recorded.callback(forget, opened)
 
         def forget(opened: IO[str]) -> None:
-            with suppress(OSError):  # another service may have taken the folder meanwhile
+            with suppress(OSError):  # another service may have taken the folder
                 if os.path.samestat(path.stat(), os.fstat(opened.fileno())):
                     path.unlink()
 
@@ -169,13 +169,13 @@ def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
 
 def find_service(folder: Path) -> str | None:
     """The address of this user's running service on `folder`; None if there is none."""
-    return _read(folder / ADDRESS_FILE, "url", locked=True)
+    return _read_text(folder / ADDRESS_FILE, "url", locked=True)
 
 
-def _read(path: Path, name: str, *, locked: bool = False) -> str | None:
-    """A text in a private file of JSON, if the file is `locked`; None if no service of this user wrote it."""
+def _read_text(path: Path, name: str, *, locked: bool = False) -> str | None:
+    """A text in a private file of JSON; None if it is not this user's, or, with `locked`, not locked."""
     with suppress(OSError, ValueError, KeyError, TypeError):
-        # Do not block on a pipe in its place.
+        # does not block on a pipe in its place
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
         with open(descriptor, encoding="ascii") as file:  # noqa: PTH123 - a descriptor, not a path
             status = os.fstat(descriptor)
@@ -189,6 +189,6 @@ def _read(path: Path, name: str, *, locked: bool = False) -> str | None:
 def _is_locked(file: IO[str]) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:  # its service runs
+    except BlockingIOError:  # by a running service
         return True
     return False

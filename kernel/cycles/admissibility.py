@@ -1,4 +1,4 @@
-"""Whether an orbit of the closed form is one of the spring, over all its flight and all its contact.
+"""Whether an orbit of the closed form is one of the spring, throughout its flight and its contact.
 
 The closed form asks only for n = 0 at take-off and gap = 0 at landing. The orbit exists if the gap is
 positive throughout the flight, n is positive throughout the contact, and n falls at take-off.
@@ -18,24 +18,24 @@ from kernel.cycles.spring import Array, Spring, flight, stuck
 #: (spring, times) -> a function and its two derivatives, as combinations (4, ...).
 Terms = Callable[[Spring, Array], tuple[Array, Array, Array]]
 
-#: Minima of the cubics between samples below this part of a plate amplitude (of m A omega**2 for n) are
-#: followed to rounding: a hundred times what the cubics leave.
+#: Minima between samples are refined to rounding if their cubic lies within this of zero, in plate amplitudes
+#: or m A omega**2. The error of the cubics is a hundredth of it.
 _NEAR: Final = 1e-2
 
-#: Samples nearer than this to the end, rad, are left out: the function is zero there but for rounding.
+#: Samples this close to the end, rad, are left out: the function is zero there, apart from rounding.
 _END: Final = 1e-7
 
-#: Values of samples above minus this are rounding.
+#: Samples above minus this count as zero.
 _ROUNDING: Final = 1e-12
 
-#: Where the function comes to its end as softly as a cube, it may dip and rise between the last samples.
-#: There it is sampled anew, at these parts of what is left: half an octave from each to the next.
+#: A function that ends as softly as a cube may dip and rise again between the last samples. It is sampled
+#: anew at these parts of the time left, in steps of half an octave.
 _APPROACH: Final = 2.0 ** (-0.5 * np.arange(20))
 
-#: What `_soft` compares with the slopes at both ends is 0 of them for a cube, -0.5 for a square or a line.
+#: Threshold of `_soft`, in units of the sum of the slopes at both ends: a cube has 0, a square or line -0.5.
 _SOFT: Final = -0.25
 
-#: Steps of Newton's method for such a minimum.
+#: Newton steps for a minimum near zero.
 _STEPS: Final = 3
 
 
@@ -48,15 +48,15 @@ class Reason(IntFlag):
 
 
 class Condition(NamedTuple):
-    """A condition of n orbits, that a function is positive inside a flight or contact; arrays (n,)."""
+    """For n orbits, whether a function is positive throughout a flight or contact; arrays (n,)."""
 
     broken: NDArray[np.bool_]  # negative inside or next to an end
     time: Floats  # rad, of the deepest minimum inside; NaN: none
-    depth: Floats  # of that minimum; inf: none
+    depth: Floats  # value at that minimum; inf: none
 
 
 class Check(NamedTuple):
-    """What the conditions of n orbits are, in plate amplitudes and m A omega**2."""
+    """The conditions of n orbits, in plate amplitudes and m A omega**2."""
 
     reason: NDArray[np.uint8]  # (n,) a Reason
     gap: Condition  # in flight
@@ -64,9 +64,9 @@ class Check(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """Times at which gap and n of a spring are sampled, and what they are combinations of."""
+    """Times at which gap and n of a spring are sampled, and their terms there."""
 
-    time: Floats  # (m,) rad from 0, between which they are cubics but for rounding
+    time: Floats  # (m,) rad from 0; both are nearly cubics between neighbours
     gap: tuple[Floats, Floats]  # (4, m) each: `gap_terms` without the second derivatives
     force: tuple[Floats, Floats]  # (4, m) each: `force_terms`
 
@@ -131,21 +131,22 @@ def force_slope(k: Spring, x: Orbit) -> Array:
 
 
 def check(
-    k: Spring, periods: int, t: Floats, x: Orbit, at: Samples, tolerance: Floats | float = 0.0
+    k: Spring, periods: int, t: Floats, x: Orbit, samples: Samples, tolerance: Floats | float = 0.0
 ) -> Check:
-    """Follow the orbits `x` with flights of t rad (n,).
+    """Check the orbits `x`, whose flights take t rad (n,).
 
-    tolerance: by how much a condition may be broken, in plate amplitudes or m A omega**2; for orbits that
-    graze.
+    samples: of this spring and these periods. tolerance: allowance for orbits that graze, in plate amplitudes
+    or m A omega**2.
     """
     scale = 1.0 / np.hypot(x.c, x.s)
     impact, slope, landing = x.impact * scale, force_slope(k, x) * scale, force_at_landing(k, x, t) * scale
     zero, rest = np.zeros_like(t), TWO_PI * periods - t
-    gap = deepest(k, gap_terms, gap_weights(x) * scale, zero, t, impact, at.time, at.gap, tolerance)
+    gap = deepest(k, gap_terms, gap_weights(x) * scale, zero, t, impact, samples.time, samples.gap, tolerance)
     force = deepest(
-        k, force_terms, force_weights(k, x, t) * scale, 2.0 * scale, rest, slope, at.time, at.force, tolerance
-    )
-    # written so that an orbit that is not finite fulfils no condition
+        k, force_terms, force_weights(k, x, t) * scale, 2.0 * scale, rest, slope, samples.time, samples.force,
+        tolerance,
+    )  # fmt: skip
+    # comparisons with NaN are false: an orbit that is not finite fulfils no condition
     above = (gap.depth > -tolerance) & (impact < tolerance) & ~gap.broken
     presses = (force.depth > -tolerance) & (landing > -tolerance) & ~force.broken
     falls = slope < tolerance
@@ -155,7 +156,7 @@ def check(
 
 
 def _combined(weights: Floats, terms: Floats) -> Floats:
-    """(n, m), of (4, n) and (4, m): too small a product to wake the threads of a BLAS library for."""
+    """weights (4, n) times terms (4, m), as (n, m); too small a product to wake threads of BLAS."""
     return np.asarray(np.einsum("in,im->nm", weights, terms))
 
 
@@ -163,7 +164,12 @@ def deepest(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, nodes: Floats,
     at_nodes: tuple[Floats, Floats], tolerance: Floats | float,
 ) -> Condition:  # fmt: skip
-    """The deepest minimum before `end` (n,), where the function is zero; broken: a sample is negative."""
+    """The deepest minimum of n functions before their `end` (n,), where they are zero.
+
+    weights (4, n), offset (n,): the functions in `terms`. end_slope (n,): slopes at the end. nodes (m,), rad,
+    and at_nodes: sample times, and the terms and their derivatives there. `broken` if a sample is below
+    -tolerance.
+    """
     m = int(np.searchsorted(nodes, end.max(initial=0.0))) + 1
     nodes = nodes[:m]
     inside = nodes < end[:, None] - _END
@@ -171,13 +177,13 @@ def deepest(
     slope = np.where(inside, _combined(weights, at_nodes[1][:, :m]), end_slope[:, None])
     negative = value.min(axis=1) < -tolerance - _ROUNDING
     down = slope < 0.0
-    row, at = np.nonzero(down[:, :-1] & (slope[:, 1:] > 0.0) & inside[:, :-1])
-    right = np.where(inside[row, at + 1], nodes[np.minimum(at + 1, m - 1)], end[row])
-    values, slopes = (value[row, at], value[row, at + 1]), (slope[row, at], slope[row, at + 1])
-    turns = np.array([nodes[at], right, *values, *slopes])
+    row, i = np.nonzero(down[:, :-1] & (slope[:, 1:] > 0.0) & inside[:, :-1])
+    right = np.where(inside[row, i + 1], nodes[np.minimum(i + 1, m - 1)], end[row])
+    values, slopes = (value[row, i], value[row, i + 1]), (slope[row, i], slope[row, i + 1])
+    turns = np.array([nodes[i], right, *values, *slopes])
     before = np.maximum(inside.sum(axis=1) - 2, 0)
-    each = np.arange(len(end))
-    soft = _soft(value[each, before], slope[each, before], end_slope, end - nodes[before])
+    every = np.arange(len(end))
+    soft = _soft(value[every, before], slope[every, before], end_slope, end - nodes[before])
     if len(soft):
         rows, others = _near_end(k, terms, weights, offset, end, end_slope, nodes[before], soft)
         row, turns = np.concatenate([row, rows]), np.hstack([turns, others])
@@ -198,15 +204,16 @@ def deepest(
                 with np.errstate(invalid="ignore", divide="ignore"):
                     tau = np.clip(np.where(f2 > 0.0, tau - f1 / f2, tau), first, last)
         where[near], low[near] = tau, f + offset[r]
-    order = np.argsort(-low, kind="stable")  # the deepest of a row is written last
+    order = np.argsort(-low, kind="stable")  # the deepest minimum of a row is written last
     time[row[order]], depth[row[order]] = where[order], low[order]
     return Condition(negative, time, depth)
 
 
 def _soft(value: Floats, slope: Floats, end_slope: Floats, left: Floats) -> Ints:
-    """Which functions (n,), `left` before the end, may dip and rise again on their way down to zero there.
+    """Indices of the functions that may dip and rise again before they reach zero at their end.
 
-    By the middle coefficient of the slope's quadratic in Bernstein form.
+    value, slope (n,): `left` rad before the end. Decided by the middle coefficient of the slope's quadratic
+    in Bernstein form.
     """
     fall = (slope + end_slope) * left
     return np.flatnonzero((slope < 0.0) & (end_slope < 0.0) & (-3.0 * value - fall > -_SOFT * fall))
@@ -216,9 +223,9 @@ def _near_end(
     k: Spring, terms: Terms, weights: Floats, offset: Floats, end: Floats, end_slope: Floats, first: Floats,
     rows: Ints,
 ) -> tuple[Ints, Floats]:  # fmt: skip
-    """Where the functions of some rows fall and rise between `first` (n,) and the end, by more samples.
+    """Brackets of minima between `first` (n,) and the end, by more samples, for the functions in `rows`.
 
-    Returns their rows (p,), and the two times of each, rad, with the values and the slopes there (6, p).
+    Returns the rows (p,) of the brackets, and their two times, rad, values and slopes (6, p).
     """
     t = end[rows, None] - (end - first)[rows, None] * _APPROACH
     many = np.repeat(weights[:, rows], len(_APPROACH), axis=1)

@@ -1,4 +1,4 @@
-"""How the segments of a cycle change along its branch, and the first cycle with the new ones."""
+"""Changes of a cycle's segments along its branch: where they happen, and the first cycle beyond."""
 
 import math
 from collections.abc import Iterator
@@ -6,44 +6,36 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from kernel.cycles.cycles import (
-    LANDINGS,
-    Broken,
-    Cycles,
-    Point,
-    confirmed,
-    end_of_round,
-    kernels_round,
-)
+from kernel.cycles.cycles import LANDINGS, Broken, Cycles, Point, admissible, end_of_round, kernels_round
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START, lowest, simulated
 from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 
-#: Samples of a segment when its minimum is looked for, and near where it was before.
+#: Samples in a search for a segment's minimum: over the whole segment, and near its last place.
 _SAMPLES, _FEW = 4000, 400
-#: That part of the segment on either side counts as near.
+#: Part of the segment on either side of the last place that counts as near.
 _NEAR: Final = 0.1
-#: Beyond the ends of a segment, where its event function is zero, minima do not count: part of it.
+#: Part of a segment at each end, where its event function is zero, in which minima do not count.
 _ENDS: Final = 1e-9
 
-#: First steps of a new segment, in the units of the unknowns; the first that works.
+#: Distances of the first cycle from the change, in the units of the unknowns, tried in turn.
 _STEPS: Final = (1e-4, 1e-3, 1e-5)
-#: The same of a cycle of twice the period.
+#: The same for a cycle of twice the period.
 _DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
-#: No unknown of the first cycle is further from the change.
+#: Largest difference of an unknown between the change and the first cycle.
 _BESIDE: Final = 0.2
-#: How long before n touches zero a mass that sticks lets go, rad.
+#: Times before n touches zero at which a mass that sticks lets go, rad, tried in turn.
 _EARLIER: Final = (2.5e-3, 7.5e-4, 7.5e-3, 2.5e-4)
-#: and phases of the kernel that it may then go through at most.
+#: Limit on the kernel's phases after it lets go.
 _HOPS: Final = 400
-#: Distances at which a signature is read anew.
+#: Distances from a minute segment at which the signature is read anew, tried in turn.
 _ASIDE: Final = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-5)
 
 
 class _Edit(NamedTuple):
-    """The cycle at a change, written with other segments."""
+    """The cycle at a change, written with the segments beyond it."""
 
     kind: Kind
     cycles: Cycles
@@ -53,18 +45,18 @@ class _Edit(NamedTuple):
 
 
 class Margin:
-    """What falls through zero where a solution breaks."""
+    """A function of the cycle that falls through zero where a solution breaks."""
 
     def __init__(self, broken: Broken, beyond: Point) -> None:
-        """`beyond` is a solution that is broken."""
+        """`beyond`: a broken solution."""
         self.broken = broken
-        self.time = math.nan  # rad after the segment's beginning, where it touches
+        self.time = math.nan  # rad from the segment's beginning to where it touches
         if broken.reason == "touches":
             since = broken.time if broken.time > 0.0 else 0.0
             self.time, _ = _lowest(beyond, broken.segment, since, math.inf, _SAMPLES)
 
     def __call__(self, point: Point) -> float:
-        """Positive on the side of the cycles; NaN if it is not known."""
+        """Positive on the side of the cycles, negative beyond; NaN if unknown."""
         i, cycle = self.broken.segment, point.round
         match self.broken.reason:
             case "vanishes":
@@ -86,7 +78,7 @@ class Margin:
 
 
 def _lowest(point: Point, i: int, since: float, until: float, samples: int) -> tuple[float, float]:
-    """Time and value of the first minimum of segment i's event function between two times; NaN: none."""
+    """Time, rad, and value of the first minimum of segment i's event function between two times, or NaN."""
     _, omega, xi = point.cell
     code, whole = point.cycles.code, point.times[i]
     since, until = max(since, _ENDS * whole), min(until, (1.0 - _ENDS) * whole)
@@ -96,12 +88,12 @@ def _lowest(point: Point, i: int, since: float, until: float, samples: int) -> t
 
 
 def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point, Point] | None:
-    """What happens at `point`, at which the margin is zero, and the first cycle with other segments.
+    """Kind of the change at `point`, the cycle there, and the first cycle beyond; None if that is not found.
 
-    Its tangent leads away. Between the two the cycle at the change with the fewer segments: the others have
-    multipliers that a vanishing duration divides by zero. None if the first is not known.
+    The margin is zero at `point`. The tangent of the first cycle leads away from the change. The cycle there
+    is written with the fewer segments: with more, a vanishing duration divides the multipliers by zero.
     """
-    margin(point)  # where it touches here
+    margin(point)  # updates the time at which it touches
     for edit in _edits(margin.broken, margin.time, point):
         first = _first(edit)
         if first is not None:
@@ -111,7 +103,7 @@ def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point, Point] | None
 
 
 def _first(edit: _Edit) -> Point | None:
-    """The first admissible cycle of an edit."""
+    """The first admissible cycle beyond a change; None if there is none."""
     if edit.way is not None:
         ways = [edit.way / math.sqrt(edit.way @ edit.way)]
     else:
@@ -120,16 +112,16 @@ def _first(edit: _Edit) -> Point | None:
     for step in edit.steps:
         for way in ways:
             point = edit.cycles.newton(edit.x + step * way, way, float(way @ edit.x) + step)
-            if point is None or np.abs(point.x - edit.x).max() > _BESIDE:  # that of another branch
+            if point is None or np.abs(point.x - edit.x).max() > _BESIDE:  # on another branch
                 continue
-            point, broken = confirmed(point.towards(way))
-            if broken is None:
+            point = admissible(point.towards(way))
+            if point is not None:
                 return point
     return None
 
 
 def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
-    """With which segments the branch may go on."""
+    """The changes with which the branch may go on, tried in turn."""
     i, rebounds = broken.segment, bool(point.cycles.plate.restitution[0] > 0.0)
     if broken.reason in ("vanishes", "lands softly"):
         point, i = _inside(point, i)
@@ -154,9 +146,8 @@ def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
         case "emerges":
             yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, "F", (times[i],))
         case "vanishes" if letter == "S" and before == "s" and len(letters) > 2:
-            at = point if i > 0 else point.begun(len(letters) - 1)
-            i = i if i > 0 else 1
-            yield _replaced(Kind.IMMEDIATE_TAKEOFF, at, i - 1, 2, "z", (at.times[i - 1],))
+            begun, i = (point, i) if i > 0 else (point.begun(len(letters) - 1), 1)
+            yield _replaced(Kind.IMMEDIATE_TAKEOFF, begun, i - 1, 2, "z", (begun.times[i - 1],))
         case "vanishes" if letter in "scFbC" and inside and before != "z":
             kind = Kind.GRAZE_FLIGHT if letter == "C" else Kind.GRAZE_CONTACT
             whole = (times[i - 1 : i + 2].sum(),)
@@ -173,7 +164,7 @@ def _replaced(
     kind: Kind, point: Point, i: int, count: int, letters: str, times: tuple[float, ...],
     way: tuple[float, ...] | None = None,
 ) -> _Edit:  # fmt: skip
-    """With other segments in place of `count` from the i-th on."""
+    """The change that puts other segments in place of `count` segments from the i-th on."""
     old, spans = point.letters, point.times
     new = [*spans[:i], *times, *spans[i + count :]]
     cycles, x = point.cycles.with_segments(old[:i] + letters + old[i + count :], point.x, new)
@@ -185,7 +176,7 @@ def _replaced(
 
 
 def _inside(point: Point, i: int) -> tuple[Point, int]:
-    """The same cycle, begun so that segment i is neither its first nor its last, if it can be."""
+    """The same cycle, begun so that segment i is neither first nor last, if possible; and its new index."""
     n = len(point.letters)
     for j in range(n):
         if point.letters[j - 1] in LANDINGS and 0 < (i - j) % n < n - 1:
@@ -194,10 +185,10 @@ def _inside(point: Point, i: int) -> tuple[Point, int]:
 
 
 def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
-    """A mass that sticks lets go where n touches zero: a flight with all its hops, and sticks again.
+    """Changes at which a mass that sticks lets go where n touches zero, and sticks again after some hops.
 
-    n = n2/2 (t**2 - a**2) makes a flight of 4 a that begins a before the lowest n: the kernel follows it
-    from 2 a before, n lowered by n2/2 a**2.
+    n = n2/2 (t**2 - a**2) makes a flight of 4 a that begins a before the lowest n. The kernel starts 2 a
+    before it, with n lowered by n2/2 a**2.
     """
     whole = point.times[i]
     gamma, omega, xi = point.cell
@@ -226,7 +217,7 @@ def doubled(point: Point) -> Point | None:
     cycles, x = point.cycles.with_segments(2 * point.letters, point.x, [*point.times, *point.times])
     cycles = cycles._replace(periods=2 * cycles.periods)
     along = np.concatenate([point.tangent[: START + len(point.letters)], point.tangent[START:]])
-    # two branches pass here: of the two directions without change, the one that is not the same twice
+    # two branches cross here: the direction across the shorter cycle's own branch
     slope = cycles.equations(x).slope
     scale = 1.0 / np.abs(slope).max(axis=1, keepdims=True)
     way = np.linalg.svd(np.vstack([slope * scale, along]))[2][-1]
@@ -235,7 +226,7 @@ def doubled(point: Point) -> Point | None:
 
 
 def over_small_segment(last: Point, before: Point | None) -> Point | None:
-    """Beyond a point where a minute segment is lost or born: from the start, the kernel's own segments."""
+    """The first cycle beyond a minute segment that appears or vanishes, read from the kernel; or None."""
     start = last.tangent[:START]
     if np.linalg.norm(start) < 1e-6 and before is not None:
         start = last.x[:START] - before.x[:START]
@@ -255,9 +246,7 @@ def over_small_segment(last: Point, before: Point | None) -> Point | None:
         way = np.zeros(len(x))
         way[:START] = start / size
         point = cycles.newton(x, way)
-        if point is None:
-            continue
-        point, broken = confirmed(point.towards(way))
-        if broken is None and np.linalg.norm(point.x[:START] - last.x[:START]) < 5.0 * step + 1e-6:
+        point = None if point is None else admissible(point.towards(way))
+        if point is not None and np.linalg.norm(point.x[:START] - last.x[:START]) < 5.0 * step + 1e-6:
             return point
     return None

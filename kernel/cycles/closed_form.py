@@ -2,8 +2,8 @@
 
 The spring takes off, flies for T rad and sticks for 2 pi k - T. Given T, four conditions are linear in the
 elongation q0 and its velocity v0 at take-off and in c = Gamma cos(phi0), s = Gamma sin(phi0): n = 0 at
-take-off, gap = 0 at landing, and q and v come back. So the whole branch follows from an array of T, its
-unstable parts too. Its stability depends on the times alone.
+take-off, gap = 0 at landing, and q and v return to their values. So an array of T gives the whole branch,
+with its unstable parts. Stability depends on the times alone.
 """
 
 import math
@@ -26,12 +26,12 @@ class Orbit(NamedTuple):
     v0: Array  # its velocity
     impact: Array  # gap' before landing, < 0
     q_land: Array  # elongation after landing
-    v_land: Array
-    det: Array  # of the linear system: the others times det are finite where Gamma is infinite
+    v_land: Array  # its velocity after landing
+    det: Array  # of the linear system; the other fields times det are finite where Gamma is infinite
 
 
 class Floquet(NamedTuple):
-    """Trace and determinant of the tangent map of one cycle with their derivatives by T; arrays (n,)."""
+    """Trace and determinant of the tangent map of one cycle, and their derivatives by T; arrays (n,)."""
 
     trace: Array
     det: Array
@@ -40,7 +40,7 @@ class Floquet(NamedTuple):
 
 
 def orbit(k: Spring, periods: int, t: Array) -> Orbit:
-    """The cycles whose flight takes t rad, 0 < t < 2 pi periods. Analytic in t, Omega and xi."""
+    """The cycles whose flight takes t (n,) rad, 0 < t < 2 pi periods. Analytic in t, Omega and xi."""
     b, w = k.dashpot, k.stiffness
     fly, stick = flight(k, t), stuck(k, TWO_PI * periods - t)
     f = fly.free
@@ -52,7 +52,7 @@ def orbit(k: Spring, periods: int, t: Array) -> Orbit:
     impact = np.array([fly.s_rest, -fly.sin_rest - fly.s_rest, -fly.versine]) + w * fly.s_int * v0
     q_land = q0 * f.c + v0 * f.s
     v_land = q0 * f.c1 + v0 * f.s1 + impact
-    # in contact: the driven motion, here at landing and below at take-off, and the free motion h
+    # in contact q is a driven motion, here at landing and below at take-off, plus a free motion h
     re, im = k.q_re * fly.cos - k.q_im * fly.sin, k.q_re * fly.sin + k.q_im * fly.cos
     h0 = q_land + np.array([one / w, -re, im])
     h1 = v_land + np.array([zero, im, re])
@@ -65,10 +65,11 @@ def orbit(k: Spring, periods: int, t: Array) -> Orbit:
 
 
 def floquet(k: Spring, periods: int, t: Array) -> Floquet:
-    """Of M = M_stuck(2 pi periods - t) B(t), the tangent map at fixed phase from take-off to take-off.
+    """Stability of the cycles whose flight takes t (n,) rad: of M = M_stuck(2 pi periods - t) B(t).
 
-    A landing that sticks maps (dq, dv, dgap, dgap') to (dq + dgap, dv + dgap' - b dgap); a take-off from
-    sticking is the identity. M contains neither Gamma nor the plate's motion. Analytic in t, Omega and xi.
+    M is the tangent map at fixed phase from take-off to take-off. A landing that sticks maps (dq, dv, dgap,
+    dgap') to (dq + dgap, dv + dgap' - b dgap); a take-off from sticking is the identity. M contains neither
+    Gamma nor the plate's motion. Analytic in t, Omega and xi.
     """
     b, w = k.dashpot, k.stiffness
     f, m = free(b, 2.0 * w, t), stuck(k, TWO_PI * periods - t)
@@ -90,7 +91,7 @@ def floquet(k: Spring, periods: int, t: Array) -> Floquet:
 
 
 def multipliers(trace: NDArray[np.float64], det: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """The roots of mu**2 - trace mu + det (n, 2), the larger in modulus first; of a pair, Im < 0 first."""
+    """The roots (n, 2) of mu**2 - trace mu + det, the larger modulus first; of complex pairs Im < 0 first."""
     root = np.sqrt(np.asarray(0.25 * trace * trace - det, np.complex128))
     large = 0.5 * trace + np.where((trace < 0.0) | (root.imag > 0.0), -1.0, 1.0) * root
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -99,12 +100,12 @@ def multipliers(trace: NDArray[np.float64], det: NDArray[np.float64]) -> NDArray
 
 
 def stable(trace: NDArray[np.float64], det: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether both multipliers lie inside the unit circle (Jury's conditions)."""
+    """Whether both multipliers lie inside the unit circle (n,), by Jury's conditions."""
     return (1.0 - trace + det > 0.0) & (1.0 + trace + det > 0.0) & (det < 1.0)
 
 
 def gamma_and_slope(k: Spring, periods: int, t: Array) -> tuple[Array, Array]:
-    """Gamma and dGamma/dT (n,), for real t."""
+    """Gamma and dGamma/dT (n,) of the cycles whose flight takes t (n,) rad, t real."""
     x = orbit(k, periods, t + 1j * STEP)
     gamma = np.sqrt(x.c * x.c + x.s * x.s)
     return gamma.real, gamma.imag / STEP

@@ -1,8 +1,8 @@
-"""The thresholds of any contact, from the branches of its cycles that reach below where rest ends.
+"""The thresholds of any contact, from the branches of its cycles below the Gamma at which rest ends.
 
-The rule is that of `kernel.cycles.thresholds`. The branches are those that cycles of the closed form lead
-to; families that are not connected with them are missed, so that the lowest end is an upper bound. Where the
-closed form has a fold that does not decide, and no branch has one there, the answer is `unresolved`.
+The rule is that of `kernel.cycles.thresholds`. The branches are those that cycles of the closed form lead to.
+Other families are missed, so that the lowest end is an upper bound. Where the closed form has a fold that
+does not decide, and no branch has a fold there, the answer is `unresolved`.
 """
 
 import math
@@ -10,39 +10,32 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, groupby
 from typing import Any, Final
 
-from kernel.cycles.any_contact import Followed, all_through, beside, seeds
+from kernel.cycles.any_contact import all_through, beside, seeds
 from kernel.cycles.cycles import Point
 from kernel.cycles.descent import Descent, descend, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
 from kernel.cycles.folds import Fold
-from kernel.cycles.follow import End
+from kernel.cycles.follow import End, Followed
 from kernel.cycles.starts import start_on_cycle
-from kernel.cycles.thresholds import (
-    PERIODS,
-    UNRESOLVED,
-    Thresholds,
-    closed_form,
-    lowest_end,
-    where_searched,
-)
+from kernel.cycles.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, lowest_end, where_searched
 from kernel.interface import prepare
 from kernel.params import Cell
 
 #: Branches are followed up to this many times the Gamma at which rest ends: past folds where flights leap.
 _REACH: Final = 1.5
 
-#: Above a fold of the closed form, relative, a cycle of the contact is looked for.
+#: Distances above a fold of the closed form, relative, at which a cycle of the contact is sought.
 _ABOVE: Final = (1e-3, 1e-2)
-#: A fold of a contact that is closer to one of the closed form, relative, is that one.
+#: A fold of the contact this close to one of the closed form, relative, corresponds to it.
 _NEAR: Final = 0.01
 
 
 def thresholds_of(
     plate: Any, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
 ) -> Thresholds:
-    """The thresholds of a plate of one cell, restitution < 1; `not searched` below SEARCHED_XI.
+    """The thresholds of a spring on a plate of one cell, restitution < 1; `not searched` below SEARCHED_XI.
 
-    cycles, bouncing: as of `thresholds.conjecture`. Raises KernelInputError.
+    cycles, bouncing: as in `thresholds.conjecture`. Raises KernelInputError.
     """
     gamma_th = rest_ends(plate, omega, xi)
     answer = Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, "", None)
@@ -53,16 +46,21 @@ def thresholds_of(
     ideal = closed_form(omega, xi)
     span = (0.0, _REACH * gamma_th)
     for periods in range(1, PERIODS + 1):
-        known = [fold for fold in ideal.minima if fold.periods == periods]
-        if periods > 1 and not known:
+        ideal_folds = [fold for fold in ideal.minima if fold.periods == periods]
+        if periods > 1 and not ideal_folds:
             continue
-        lines = all_through(chain(seeds(plate, omega, xi, periods), above(plate, omega, xi, known)), span)
+        lines = all_through(
+            chain(seeds(plate, omega, xi, periods), above(plate, omega, xi, ideal_folds)), span
+        )
         if periods == 1 and lines:
             answer = answer._replace(jump=_jump(lines[0]))
         below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
         minima = [fold for fold in (fold_of(x) for x in below if x.kind is Kind.FOLD) if fold.curvature > 0.0]
         folds += [fold for fold in minima if not fold.holds]
-        folds += [x for x in known if not (x.holds or any(_alike(x, fold) for fold in minima))]
+        unmatched = (
+            x for x in ideal_folds if all(abs(x.gamma - fold.gamma) >= _NEAR * x.gamma for fold in minima)
+        )
+        folds += [fold for fold in unmatched if not fold.holds]
         flips = (event.point for event in below if event.kind is Kind.FLIP)
         folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]
         lowest = (point for line in lines for point in lowest_stable(line))
@@ -71,19 +69,22 @@ def thresholds_of(
 
 
 def rest_ends(plate: Any, omega: float, xi: float) -> float:
-    """Gamma at which a spring at rest first loses contact; Eq. 25 for an ideal plate.
+    """Gamma at which a spring at rest loses contact, infinite if it never does; Eq. 25 for an ideal plate.
 
-    What holds it is as 1/Gamma, what drives it as the plate: `margin` is their difference.
+    `margin` is weight/Gamma - drive, in plate amplitudes: two values of Gamma give weight and drive.
     """
-    one, two = (prepare(plate, 0, gamma, omega, xi).margin for gamma in (1.0, 2.0))
-    drive = one - 2.0 * two
-    return 2.0 * (one - two) / drive if drive > 0.0 else math.inf
+    at_one, at_two = (prepare(plate, 0, gamma, omega, xi).margin for gamma in (1.0, 2.0))
+    drive = at_one - 2.0 * at_two
+    return 2.0 * (at_one - at_two) / drive if drive > 0.0 else math.inf
 
 
 def above(
     plate: Any, omega: float, xi: float, folds: Sequence[Fold], aside: Sequence[float] = _ABOVE
 ) -> Iterator[Point]:
-    """Cycles of a contact above folds of the closed form, of each the first one `aside`, relative."""
+    """Cycles of a contact above folds of the closed form.
+
+    aside: relative distances in Gamma, tried in turn; each fold gives the first cycle found.
+    """
     for fold in folds:
         for away in aside:
             cell = Cell(fold.gamma * (1.0 + away), omega, xi)
@@ -94,19 +95,15 @@ def above(
                 break
 
 
-def _alike(a: Fold, b: Fold) -> bool:
-    return abs(a.gamma - b.gamma) < _NEAR * a.gamma
-
-
 def lowest_stable(line: Followed) -> Iterator[Point]:
-    """The lowest cycle of each stable stretch of a branch."""
+    """The cycle of lowest Gamma in each stable stretch of a branch."""
     for stable, stretch in groupby(line.points, key=lambda point: point.stable):
         if stable:
             yield min(stretch, key=lambda point: point.parameter)
 
 
 def _jump(line: Followed) -> float:
-    """The fold that ends the cycles that begin at rest; NaN if they end otherwise."""
+    """Gamma of the fold at which the cycles that begin at rest end; NaN if they end otherwise."""
     events = line.events if line.events and line.events[0].kind is End.REST else line.events[::-1]
     if not events or events[0].kind is not End.REST:
         return math.nan

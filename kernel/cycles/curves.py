@@ -1,10 +1,10 @@
 """Curves of events in two parameters, and the points at which they meet.
 
-A fold, flip or Neimark-Sacker point of a (1,k) branch is a zero of one function of the flight time T and the
-parameter, Omega at fixed xi or xi at fixed Omega; so is an orbit with n = 0 at landing, and one that grazes:
-the least gap inside the flight, or the least n inside the contact, has the derivatives that it has at a fixed
-time. The curves are followed by pseudo-arclength in (T, parameter), around cusps, in both directions from the
-events on a few lines of the parameter.
+The parameters are the flight time T and one of Omega and xi, the other being fixed. A fold, flip or
+Neimark-Sacker point of a (1,k) branch is a zero of one function of both. So is an orbit with n = 0 at
+landing, and one that grazes: its least gap in flight, or least n in contact, may be differentiated at a fixed
+time. Curves are followed by pseudo-arclength, around cusps, in both directions from the events at a few
+values of the parameter.
 """
 
 import math
@@ -32,44 +32,44 @@ from kernel.cycles.roots import Floats, stretches
 from kernel.cycles.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
 
-#: Lines of the parameter on which events are looked for.
+#: Values of the parameter at which events are sought.
 LINES: Final = 25
 
-#: Steps along a curve: the first and the largest, as parts of the plane's sides; the smallest.
+#: The first, the largest and the smallest step along a curve, in sides of the plane.
 _FIRST, _LARGEST, _SMALLEST = 2e-3, 1e-2, 1e-6
 
-#: The tangent turns by at most this between points, rad.
+#: The largest turn of the tangent between points, rad.
 _TURN: Final = 0.15
 
-#: Points of one curve at most.
+#: Limit on the points of one curve.
 _POINTS: Final = 4000
 
-#: Points of all curves of a branch at most, of up to 1.4 ms each.
+#: Limit on the points of all curves of a branch, of up to 1.4 ms each.
 _ALL_POINTS: Final = 60_000
 
 #: Newton steps of a corrector, and of a search for a codimension-2 point.
 _CORRECTOR: Final = 8
 _NEWTON: Final = 40
 
-#: Curves end this near to T = 0 and T = 2 pi k, in sides: within the grid on which events are looked for.
+#: Curves end this close to T = 0 and T = 2 pi k, in sides: within the grid on which events are sought.
 _ENDS: Final = 1e-4
 
-#: A corrector's last move, in sides of the plane.
+#: The last move of a corrector that has converged, in sides of the plane.
 _CONVERGED: Final = 1e-13
 
 #: Kinds at which the gap or n touches zero.
 _GRAZE: Final = (Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT)
 
-#: An event at which the least gap or n is below this, in plate amplitudes or m A omega**2, grazes there; if
-#: not, at an end of its flight or contact.
+#: An orbit grazes inside its flight or contact if its least gap or n is below this, in plate amplitudes or
+#: m A omega**2; else it grazes at an end.
 _TOUCHES: Final = 1e-7
 
-#: Codimension-2 points nearer than this in T and in the parameter are one, found twice.
+#: Codimension-2 points this close in T and in the parameter are the same, found twice.
 _SAME: Final = 1e-8
 
 
 class Parameter(StrEnum):
-    """Which of a spring's parameters varies along curves."""
+    """The parameter of a spring that varies along curves."""
 
     OMEGA = "omega"
     XI = "xi"
@@ -92,19 +92,19 @@ class _Plane(NamedTuple):
     periods: int
 
     def omega_and_xi(self, p: Any) -> tuple[Any, Any]:
-        """Of a value of the parameter, which may be complex."""
+        """Omega and xi at a value of the parameter, which may be complex."""
         return (p, self.fixed) if self.parameter is Parameter.OMEGA else (self.fixed, p)
 
     def spring(self, p: float | complex) -> Spring:
-        """The spring of a value of the parameter."""
+        """The spring at a value of the parameter."""
         return spring(*self.omega_and_xi(p))
 
     def sides(self) -> Floats:
-        """What steps are measured in."""
+        """The sides of the plane, in T and in the parameter; the units of steps."""
         return np.array([TWO_PI * self.periods, self.high - self.low])
 
     def floquet(self, t: complex, p: complex) -> tuple[complex, complex, complex, complex]:
-        """Trace and determinant and their derivatives by T."""
+        """Trace and determinant of the tangent map, and their derivatives by T."""
         f = floquet(self.spring(p), self.periods, np.array([t]))
         return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
 
@@ -126,7 +126,7 @@ class _Zero:
     """The function of (T, parameter) that is zero on a curve, with its gradient."""
 
     def __init__(self, plane: _Plane, kind: Kind, t: float, p: float) -> None:
-        """Of the curve of a kind through the event at (t, p)."""
+        """The curve of a kind through the event at (t, p)."""
         self.plane, self.kind = plane, kind
         self.time = self.begins = _grazes_at(plane, kind, t, p) if kind in _GRAZE else math.nan
 
@@ -138,7 +138,7 @@ class _Zero:
         return by_t.real, np.array([by_t.imag, by_p.imag]) / STEP
 
     def _value(self, t: complex, p: complex) -> complex:
-        """A test, or n at landing, gap' there, n' at take-off, the gap or n at a fixed time inside."""
+        """The function of the kind: a test of the multipliers, or n, gap', n' or the gap at the event."""
         if self.kind in _TESTS:
             trace, det, _, _ = self.plane.floquet(t, p)
             return _TESTS[self.kind](trace, det)
@@ -155,7 +155,7 @@ class _Zero:
 
 
 def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
-    """When the gap or n is least inside the flight or contact, rad; NaN: it grazes at an end of it."""
+    """Time of the least gap or n inside the flight or contact, rad; NaN if the orbit grazes at an end."""
     k, times = plane.spring(p), np.array([t])
     x = orbit(k, plane.periods, times)
     checked = check(k, plane.periods, times, x, sampled(k, plane.periods), GRAZES)
@@ -164,7 +164,7 @@ def _grazes_at(plane: _Plane, kind: Kind, t: float, p: float) -> float:
 
 
 def _minimum(plane: _Plane, kind: Kind, t: float, p: float, time: float) -> float:
-    """The time of the minimum next to `time`; NaN if it has left the flight or contact."""
+    """Time of the minimum near `time`, rad; NaN if it has left the flight or contact."""
     k, times = plane.spring(p), np.array([t])
     contact = kind is Kind.GRAZE_CONTACT
     terms, weights, _ = combination(k, orbit(k, plane.periods, times), times, contact)
@@ -185,11 +185,11 @@ def curves(
     parameter: Parameter, fixed: float, low: float, high: float, periods: int,
     kinds: tuple[Kind, ...] = KINDS, lines: int = LINES,
 ) -> Curves:  # fmt: skip
-    """Curves of the (1, periods) branch over `parameter` in [low, high], the other one being `fixed`.
+    """Curves of events of the (1, periods) branch over `parameter` in [low, high], the other at `fixed`.
 
     Finds every curve that crosses one of `lines` evenly spaced values of the parameter. Neimark-Sacker curves
-    end where their multipliers become real. Points where |Gamma| has a pole are left out. Raises
-    KernelInputError, also for curves of more than _ALL_POINTS points together.
+    end where their multipliers become real. Poles of Gamma are left out. Raises KernelInputError, also for
+    more than _ALL_POINTS points together.
     """
     plane = _Plane(parameter, fixed, low, high, periods)
     traced: list[tuple[Kind, Floats]] = []
@@ -202,34 +202,31 @@ def curves(
             traced.append((Kind(kind), _whole(plane, Kind(kind), float(t), float(p))))
             points_left -= len(traced[-1][1])
             if points_left < 0:
-                rule = (
-                    f"the curves up to {high:g} have more than {_ALL_POINTS:,} points: take a shorter range"
-                )
-                raise KernelInputError(f"{parameter}_stop", rule)
+                rule = f"the curves up to {high:g} have more than {_ALL_POINTS:,} points"
+                raise KernelInputError(f"{parameter}_stop", f"{rule}: take a shorter range")
     points = [point for kind, line in traced for point in _codimension_2(plane, kind, line)]
-    return Curves(
-        tuple(c for kind, line in traced for c in _pieces(plane, kind, line)), _unique(plane, points)
-    )
+    pieces = tuple(piece for kind, line in traced for piece in _pieces(plane, kind, line))
+    return Curves(pieces, _unique(plane, points))
 
 
 def _is_traced(plane: _Plane, traced: list[tuple[Kind, Floats]], kind: Kind, t: float, p: float) -> bool:
-    """Whether a curve found already passes through (t, p)."""
+    """Whether a traced curve passes through (t, p)."""
     sides = plane.sides()
     for other, line in traced:
         if other is not kind:
             continue
         a, b = line[:-1] / sides, line[1:] / sides
-        along, here = b - a, np.array([t, p]) / sides - a
-        part = np.clip((here * along).sum(axis=1) / np.maximum((along * along).sum(axis=1), 1e-300), 0.0, 1.0)
-        # a chord's distance from an arc of this turn is an eighth of its length times the turn
-        distance = np.hypot(*(here - part[:, None] * along).T)
-        if (distance < 0.2 * _TURN * np.hypot(*along.T) + 1e-9).any():
+        chord, away = b - a, np.array([t, p]) / sides - a
+        part = np.clip((away * chord).sum(axis=1) / np.maximum((chord * chord).sum(axis=1), 1e-300), 0.0, 1.0)
+        # an arc that turns by _TURN lies within _TURN/8 chords of its chord
+        distance = np.hypot(*(away - part[:, None] * chord).T)
+        if (distance < 0.2 * _TURN * np.hypot(*chord.T) + 1e-9).any():
             return True
     return False
 
 
 def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> Floats:
-    """The curve (m, 2) through (t, p), both ways."""
+    """The points (m, 2) of the whole curve through (t, p)."""
     zero = _Zero(plane, kind, t, p)
     forward, closed = _walk(zero, t, p, 1.0)
     if closed:
@@ -239,7 +236,7 @@ def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> Floats:
 
 
 def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[Floats], bool]:
-    """Points of the curve from (t, p) on, and whether it came back."""
+    """Points of the curve from (t, p) on in one direction, and whether it is closed."""
     plane, zero.time = zero.plane, zero.begins
     sides = plane.sides()
     start = np.array([t, p]) / sides
@@ -267,7 +264,7 @@ def _walk(zero: _Zero, t: float, p: float, direction: float) -> tuple[list[Float
 
 
 def _corrected(zero: _Zero, v: Floats) -> tuple[Floats, Floats]:
-    """The curve's point next to v, and its gradient, in sides of the plane; NaN if there is none."""
+    """The point of the curve near v, and its gradient, in sides of the plane; NaN if there is none."""
     sides, time = zero.plane.sides(), zero.time
     gradient = np.full(2, np.nan)
     for _ in range(_CORRECTOR):
@@ -286,7 +283,7 @@ def _corrected(zero: _Zero, v: Floats) -> tuple[Floats, Floats]:
 
 
 def _on_edge(zero: _Zero, u: Floats, v: Floats) -> Floats:
-    """The curve's point on the edge of the parameter between u inside and v outside, in sides."""
+    """The point of the curve at an end of the parameter's range, between u inside and v outside, in sides."""
     plane = zero.plane
     sides = plane.sides()
     p = plane.low if v[1] * sides[1] < plane.low else plane.high
@@ -298,18 +295,18 @@ def _on_edge(zero: _Zero, u: Floats, v: Floats) -> Floats:
 
 
 def _tangent(gradient: Floats) -> Floats:
-    """The unit vector along a curve with this gradient."""
+    """The unit vector along a curve whose function has this gradient."""
     return np.array([-gradient[1], gradient[0]]) / float(np.hypot(gradient[0], gradient[1]))
 
 
-#: Two functions of a trace, a determinant and their derivatives by T that are zero at a codimension-2 point.
+#: The two functions of trace, determinant and their derivatives by T that vanish at a codimension-2 point.
 _POINTS_WHERE: Final[Mapping[Kind, Callable[..., tuple[complex, complex]]]] = {
     Kind.CUSP: lambda trace, det, trace1, det1: (1.0 - trace + det, det1 - trace1),
     Kind.BOGDANOV_TAKENS: lambda trace, det, trace1, det1: (trace - 2.0, det - 1.0),
     Kind.FOLD_FLIP: lambda trace, det, trace1, det1: (trace, det + 1.0),
 }
 
-#: The points on a curve, and which of their functions changes sign along it.
+#: Codimension-2 points that lie on each kind of curve, and the index of the function that changes sign there.
 _POINTS_ON: Final[Mapping[Kind, tuple[tuple[Kind, int], ...]]] = {
     Kind.FOLD: ((Kind.CUSP, 1), (Kind.BOGDANOV_TAKENS, 1), (Kind.FOLD_FLIP, 1)),
     Kind.FLIP: ((Kind.FOLD_FLIP, 1),),
@@ -331,7 +328,7 @@ def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Ki
 
 
 def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float] | None:
-    """The point in (T, parameter) next to a guess by Newton's method, or None."""
+    """The codimension-2 point (T, parameter) near a guess, by Newton's method, or None."""
     functions, aside = _POINTS_WHERE[kind], 1j * STEP
     for _ in range(_NEWTON):
         by_t, by_p = (np.array(functions(*plane.floquet(*x))) for x in ((t + aside, p), (t, p + aside)))
@@ -348,7 +345,7 @@ def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[fl
 
 
 def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
-    """The record of a curve, without the parts on which its multipliers are not a pair but should be."""
+    """The records of a curve's parts; of a Neimark-Sacker curve those with complex multipliers."""
     rows = [plane.event(kind, t, p) for t, p in line]
     keep = np.array([kind is not Kind.NEIMARK_SACKER or row.multiplier[0, 0].imag != 0.0 for row in rows])
     for first, last in stretches(keep):
@@ -357,9 +354,10 @@ def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
 
 
 def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:
-    """The points, each once, by kind and parameter."""
+    """The record of the points, each once, by kind and parameter."""
+    order = list(_POINTS_WHERE)
     once: list[tuple[Kind, float, float]] = []
-    for kind, t, p in sorted(points, key=lambda x: (list(Kind).index(x[0]), x[2], x[1])):
+    for kind, t, p in sorted(points, key=lambda x: (order.index(x[0]), x[2], x[1])):
         if not any(k is kind and abs(t - a) < _SAME and abs(p - b) < _SAME for k, a, b in once):
             once.append((kind, t, p))
     return join_events([plane.event(kind, t, p) for kind, t, p in once])

@@ -14,32 +14,32 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
 from kernel.stopping import check
 
-#: Newton steps at most, and the last step's size, relative.
+#: Limit on Newton steps, and the relative size of the last.
 _NEWTON: Final = 14
 _CONVERGED: Final = 1e-12
-#: A step of Newton's method above this, relative, in any unknown has left the branch.
+#: A Newton step above this, relative, in any unknown has left the branch.
 _AWAY: Final = 2.0
-#: Newton's method keeps c + i s on a line; so often turned to the new phase, that keeps Gamma.
+#: Newton's method keeps c + i s on a line. Repeated this often along the new phase, it keeps Gamma.
 _SAME_GAMMA: Final = 5
 #: Relative step of the derivatives by Omega and xi.
 _DIFFERENCE: Final = 1e-6
 
-#: Times that hops are counted anew for one solution.
+#: Limit on recounts of the hops of one solution.
 _RECOUNTS: Final = 8
-#: Durations of the kernel and of a cycle agree within this, rad.
+#: Durations of the kernel and of a cycle agree within this, rad,
 AGREE: Final = 3e-6
-#: and the state after a round, plate amplitudes.
+#: and states after a round within this, plate amplitudes.
 _CLOSES: Final = 1e-6
-#: Rounding may hide a landing at less than this gap' (g/omega), or a take-off to a shorter flight, rad.
+#: Rounding may hide a landing slower than this gap' (g/omega), or a take-off to a shorter flight, rad.
 _SOFT_LANDING: Final = 1e-5
 _SHORT_FLIGHT: Final = 1e-2
-#: Rounds that are simulated to read a cycle: up to two before it begins, its own, and a segment of one more.
+#: Rounds simulated to read a cycle: up to two before it begins, its own, and a segment of the next.
 _ROUNDS: Final = 4.2
-#: Segments of a cycle at most, and phases of the kernel in a plate period.
+#: Limits on the segments of a cycle, and on the kernel's phases in a plate period.
 _LONGEST: Final = 300
 MOST: Final = 4000
 
-#: A flight that ends with one of these letters has landed.
+#: Letters of flights that end with a landing.
 LANDINGS: Final = "Fhcsz"
 FLIGHTS: Final = LANDINGS + "b"
 
@@ -48,12 +48,12 @@ PARAMETERS: Final = ("gamma", "omega", "xi")
 
 
 class Point(NamedTuple):
-    """A cycle with its equations, and the unit vector along its branch."""
+    """A cycle on a branch, with its equations."""
 
     cycles: "Cycles"
-    x: Floats  # (m,) the start, the durations, and the parameter if it is not Gamma
+    x: Floats  # (m,) the unknowns: start, durations, and the parameter if it is not Gamma
     round: Round
-    tangent: Floats  # (m,)
+    tangent: Floats  # (m,) unit vector along the branch
 
     @property
     def letters(self) -> str:
@@ -61,13 +61,13 @@ class Point(NamedTuple):
 
     @property
     def times(self) -> Floats:
-        """(n,) rad of each segment."""
+        """Durations of the segments (n,), rad."""
         return self.x[START : START + len(self.cycles.letters)]
 
     @property
     def flights(self) -> list[float]:
-        """Rad of each flight, in order."""
-        return [t for t, x in zip(self.times.tolist(), self.letters, strict=True) if x in FLIGHTS]
+        """Durations of the flights in order, rad."""
+        return [t for t, letter in zip(self.times.tolist(), self.letters, strict=True) if letter in FLIGHTS]
 
     @property
     def cell(self) -> tuple[float, float, float]:
@@ -76,30 +76,30 @@ class Point(NamedTuple):
 
     @property
     def parameter(self) -> float:
-        """What the branch is followed along."""
-        return self.cell[PARAMETERS.index(self.cycles.along)]
+        """Value of the parameter along which the branch is followed."""
+        return self.cycles.parameter(self.x)
 
     @property
     def rising(self) -> float:
-        """The rate of the parameter along the branch; zero at a fold."""
+        """Rate of the parameter along the branch; zero at a fold."""
         return float(self.cycles.gradient(self.x) @ self.tangent)
 
     @property
     def phase(self) -> float:
-        """The plate's, at the start, rad."""
+        """Phase of the plate at the start, rad."""
         return math.atan2(self.x[4], self.x[3]) % TWO_PI
 
     @property
     def state(self) -> Floats:
-        """(6,) at the start, as STATE_FIELDS."""
+        """State at the start (6,), as STATE_FIELDS."""
         return np.array([self.phase, float(self.letters[0] in FLIGHTS), 0.0, *self.x[:3] / self.cell[0]])
 
     def towards(self, way: Floats) -> "Point":
-        """With the tangent that leans towards `way` (m,)."""
+        """The cycle with a tangent that leans towards `way` (m,)."""
         return self if self.tangent @ way > 0.0 else self._replace(tangent=-self.tangent)
 
     def begun(self, j: int) -> "Point":
-        """The same cycle, begun with segment j, where the gap is zero."""
+        """The same cycle, begun with segment j, where the gap must be zero."""
         if j == 0:
             return self
         letters = self.letters[j:] + self.letters[:j]
@@ -108,9 +108,10 @@ class Point(NamedTuple):
         return self.cycles._replace(letters=letters).on_branch(x)
 
     def multipliers(self) -> NDArray[np.complex128]:
-        """(4,) over one cycle at fixed parameters, the largest first; infinite where a duration has no root.
+        """The Floquet multipliers (4,), the largest first; infinite where an event does not fix its duration.
 
-        The map of (gap', q, q', phase) at the start, the durations following from the events.
+        They belong to the map of (gap', q, q', phase) over one cycle at fixed parameters. Events determine
+        the durations.
         """
         n = len(self.letters)
         c, s = self.x[3:START]
@@ -129,8 +130,8 @@ class Point(NamedTuple):
             whole[3] += times.sum(axis=0)
         if not np.isfinite(whole).all():
             return np.full(4, np.inf, np.complex128)
-        found = np.linalg.eigvals(whole).astype(np.complex128)
-        return np.asarray(found[np.argsort(-np.abs(found))])
+        mu = np.linalg.eigvals(whole).astype(np.complex128)
+        return np.asarray(mu[np.argsort(-np.abs(mu))])
 
     @property
     def stable(self) -> bool:
@@ -138,14 +139,14 @@ class Point(NamedTuple):
         return bool(np.abs(self.multipliers()[0]) < 1.0)
 
     def tests(self) -> Floats:
-        """What changes sign at a fold, a flip and a Neimark-Sacker point."""
+        """Three functions that change sign at a fold, a flip and a Neimark-Sacker point, in this order."""
         mu = self.multipliers()
         torus = np.prod([1.0 - a * b for a, b in combinations(mu, 2)])
         return np.array([self.rising, np.prod(1.0 + mu).real, torus.real])
 
 
 class Cycles(NamedTuple):
-    """The cycles of one signature in a spring, along one parameter: what Newton's method solves."""
+    """The equations of the cycles of one signature in a spring, along one parameter."""
 
     plate: Any  # of one cell
     omega: float
@@ -153,7 +154,7 @@ class Cycles(NamedTuple):
     letters: str  # see `kernel.cycles.segments`
     periods: int
     along: str = "gamma"
-    gamma: float = math.nan  # where it is not the parameter
+    gamma: float = math.nan  # unless it is the parameter
 
     @property
     def code(self) -> NDArray[np.uint8]:
@@ -166,7 +167,7 @@ class Cycles(NamedTuple):
         return math.hypot(x[3], x[4]), omega, xi
 
     def gradient(self, x: Floats) -> Floats:
-        """Of the parameter, by the unknowns (m,)."""
+        """Derivatives of the parameter by the unknowns (m,)."""
         way = np.zeros(len(x))
         if self.along == "gamma":
             way[3:START] = x[3:START] / math.hypot(x[3], x[4])
@@ -175,7 +176,7 @@ class Cycles(NamedTuple):
         return way
 
     def equations(self, x: Floats) -> Round:
-        """The cycle gone through once at unknowns x (m,), with values (m - 1,) and slopes (m - 1, m)."""
+        """One round at unknowns x (m,), with the equations' values (m - 1,) and slopes (m - 1, m)."""
         gamma, omega, xi = self.cell(x)
         if self.along == "gamma":
             return go_round(self.plate, omega, xi, self.code, self.periods, x)
@@ -194,9 +195,10 @@ class Cycles(NamedTuple):
     def newton(
         self, x: Floats, direction: Floats, goal: float | None = None, converged: float = _CONVERGED
     ) -> Point | None:
-        """The cycle at which direction . x is `goal`, or None. goal: None: what it is at the guess x (m,).
+        """The cycle near x (m,) at which direction . x is `goal`, by Newton's method; None if it diverges.
 
-        The tangent leans towards `direction`. converged: the last step's size, relative.
+        goal: by default its value at the guess x. converged: relative size of the last step. The tangent
+        leans towards `direction` (m,).
         """
         goal = float(direction @ x) if goal is None else goal
         done = False
@@ -229,17 +231,17 @@ class Cycles(NamedTuple):
         return point
 
     def parameter(self, x: Floats) -> float:
-        """The parameter at unknowns x (m,)."""
+        """Value of the parameter at unknowns x (m,)."""
         return self.cell(x)[PARAMETERS.index(self.along)]
 
     def on_branch(self, x: Floats) -> Point:
-        """A cycle that is known, with a tangent of its branch of either sign."""
+        """The known cycle at unknowns x (m,), with a tangent of either sign."""
         cycle = self.equations(x)
         scale = 1.0 / np.abs(cycle.slope).max(axis=1, keepdims=True)
         return Point(self, x, cycle, np.linalg.svd(cycle.slope * scale)[2][-1])
 
     def with_segments(self, letters: str, x: Floats, times: Any) -> tuple["Cycles", Floats]:
-        """The same start with other segments: their equations and unknowns."""
+        """Equations and unknowns of the same start with other segments; times (n,), rad."""
         rest = x[START + len(self.letters) :]
         return self._replace(letters=letters), np.concatenate([x[:START], times, rest])
 
@@ -251,12 +253,12 @@ class Broken(NamedTuple):
     """Why a solution of the equations is not a cycle of the spring."""
 
     reason: str  # "vanishes", "lands softly", "emerges", "sticks", "takes off", "touches", "does not close"
-    segment: int
-    time: float = math.nan  # rad after the segment's beginning, where the kernel ends it
+    segment: int  # index of the segment that breaks
+    time: float = math.nan  # rad from the segment's beginning to where the kernel ends it
 
 
 def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> tuple[str, Floats, Floats]:
-    """The kernel's segments from the start of unknowns x: letters, durations (n,), states (n + 1, 4)."""
+    """The kernel's segments over `span` rad from the start in x, as `segments.simulated`."""
     gamma, omega, xi = cycles.cell(x)
     phase = math.atan2(x[4], x[3]) % TWO_PI
     state = State(0.0, x[0] / gamma, x[1] / gamma, x[2] / gamma)
@@ -264,13 +266,13 @@ def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> t
 
 
 def confirmed(point: Point) -> tuple[Point, Broken | None]:
-    """The cycle with the kernel's number of hops, and why it is not one of the spring, or None."""
+    """The cycle with the kernel's number of hops, and why it is not one of the spring; None if it is one."""
     counted = set()
     for _ in range(_RECOUNTS):
         result = _broken_within(point) or _judged(point)
         if not isinstance(result, int):
             return point, result
-        if point.letters in counted:  # at the edge, either number of hops does
+        if point.letters in counted:  # at the edge between two numbers of hops both are right
             return point, None
         counted.add(point.letters)
         recounted = _recounted(point, result)
@@ -280,8 +282,14 @@ def confirmed(point: Point) -> tuple[Point, Broken | None]:
     return point, Broken("does not close", 0)
 
 
+def admissible(point: Point) -> Point | None:
+    """The cycle with the kernel's number of hops; None if it is not one of the spring."""
+    point, broken = confirmed(point)
+    return point if broken is None else None
+
+
 def _recounted(point: Point, first: int) -> Point | None:
-    """The cycle with the kernel's hops, of its round that begins with its segment `first`."""
+    """The cycle with the hops of the kernel's round that begins with its segment `first`, or None."""
     kernel = kernels_round(point.cycles, point.x, _ROUNDS * TWO_PI * point.cycles.periods)
     guess = _guess(point.cycles, point.cell[0], point.phase, kernel, first)
     if guess is None or len(guess[0].letters) > _LONGEST:
@@ -295,7 +303,7 @@ def _recounted(point: Point, first: int) -> Point | None:
 
 
 def _broken_within(point: Point) -> Broken | None:
-    """What the solution itself shows."""
+    """Why the solution by itself is not a cycle of the spring; None if nothing shows."""
     times, letters, cycle = point.times, point.letters, point.round
     i = int(np.argmin(times))
     if times[i] <= 0.0:
@@ -313,13 +321,16 @@ def _broken_within(point: Point) -> Broken | None:
 
 
 def _judged(point: Point) -> Broken | int | None:
-    """What the kernel's own round shows; a number: it follows other hops, and its next round begins there."""
+    """Why the kernel does not follow the solution; None if it does.
+
+    If the kernel follows other hops: the index of its segment with which its next round begins.
+    """
     n, letters, times = len(point.letters), 2 * point.letters, np.tile(point.times, 2)
     span, most = TWO_PI * point.cycles.periods + 1.0, 2 * n + 200
     kernel, durations, states = kernels_round(point.cycles, point.x, span, most)
     i = j = end = 0
-    late = 0.0  # of the solution behind the kernel: what hops take that only one of them follows
-    others = False
+    late = 0.0  # rad by which the solution lags, from hops that only the kernel or only the solution has
+    other_hops = False
     while i < n:
         duration = float(durations[j]) if j < len(kernel) else math.nan
         both = letters[i] + kernel[j] if j < len(kernel) else ""
@@ -332,24 +343,22 @@ def _judged(point: Point) -> Broken | int | None:
             late, j = float(durations[end : last + 1].sum()), last
         elif both == "hc":
             late, i = -float(times[i + 1 : last + 1].sum()), last
-        others = others or last > 0
+        other_hops = other_hops or last > 0
         i, j = i + 1, j + 1
-    if others:
+    if other_hops:
         return end
     closure = np.abs(states[end][1:] - point.x[:3] / point.cell[0]).max()
     return None if closure < _CLOSES else Broken("does not close", 0)
 
 
 def _chatter_end(letters: str, hop: int) -> int:
-    """The segment after a hop with which its chatter ends; 0 if it does not."""
-    end = hop + 1
-    while end < len(letters) and letters[end] == "h":
-        end += 1
-    return end if end < len(letters) and letters[end] == "c" else 0
+    """Index of the segment with which a hop's chatter ends; 0 if it does not end."""
+    rest = letters[hop + 1 :].lstrip("h")
+    return len(letters) - len(rest) if rest.startswith("c") else 0
 
 
 def _hides(point: Point, i: int, duration: float) -> bool:
-    """Whether the kernel misses the end of segment i by rounding only; then the solution itself decides."""
+    """Whether the kernel misses the end of segment i only by rounding."""
     late = not duration <= point.times[i]
     if point.letters[i] == "S":
         return late and point.times[(i + 1) % len(point.letters)] < _SHORT_FLIGHT
@@ -360,17 +369,17 @@ def _hides(point: Point, i: int, duration: float) -> bool:
 
 
 def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, Floats] | None:
-    """The signature and a guess of the unknowns of the cycle near a state (6,), or None.
+    """The signature, and a guess of the unknowns, of the cycle near a state (6,); None if nothing repeats.
 
-    state: as STATE_FIELDS, such as a cell's end state. From one round that the kernel simulates: it begins
-    after the longest flight.
+    state: as STATE_FIELDS, such as a cell's end state. They are read from one round that the kernel
+    simulates, begun after the longest flight.
     """
     gamma, omega, xi = map(float, cell)
     phase, _, *rest = map(float, state)
     whole = TWO_PI * periods
     span, most = _ROUNDS * whole + 3.0, MOST * periods
     letters, times, _ = kernel = simulated(plate, gamma, omega, xi, phase, State(*rest), span, most)
-    since = np.cumsum(times) - times  # at the beginning of each
+    since = np.cumsum(times) - times  # rad, at the beginning of each segment
     landings = [i for i in range(1, len(letters)) if letters[i] in LANDINGS and since[i] <= whole + 1e-9]
     if not landings:
         return None
@@ -379,7 +388,7 @@ def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, F
 
 
 def state_after(plate: Any, cell: Cell, state: Floats, periods: int) -> Floats:
-    """The state (6,) about so many plate periods after another, as STATE_FIELDS."""
+    """The state (6,) about `periods` plate periods after another, as STATE_FIELDS."""
     gamma, omega, xi = map(float, cell)
     phase, _, *rest = map(float, state)
     most = MOST * periods
@@ -390,26 +399,26 @@ def state_after(plate: Any, cell: Cell, state: Floats, periods: int) -> Floats:
 def _guess(
     cycles: Cycles, gamma: float, phase: float, kernel: tuple[str, Floats, Floats], first: int
 ) -> tuple[Cycles, Floats] | None:
-    """The signature, and start and durations, of the cycle that begins with the kernel's segment `first`.
+    """The signature, and a guess of the unknowns, of the cycle that begins with the kernel's segment `first`.
 
-    kernel: its segments from a phase on.
+    kernel: the segments that it simulates from `phase` on, as `segments.simulated`. None if nothing repeats.
     """
     letters, times, states = kernel
     around = letters[first - 1 : first + 1]
     last = end_of_round(letters, times, first, TWO_PI * cycles.periods, around, times[first - 1])
     if last == 0:
         return None
-    here = phase + times[:first].sum()
-    start = [*(gamma * states[first, 1:]), gamma * math.cos(here), gamma * math.sin(here)]
+    phase += times[:first].sum()
+    start = [*(gamma * states[first, 1:]), gamma * math.cos(phase), gamma * math.sin(phase)]
     return cycles._replace(letters=letters[first:last]), np.concatenate([start, times[first:last]])
 
 
 def end_of_round(letters: str, times: Floats, first: int, whole: float, around: str, flight: float) -> int:
-    """The segment with which the round of about `whole` rad that begins with `first` repeats; 0: none does.
+    """Index of the segment with which the next round begins, about `whole` rad after the first; 0: none.
 
-    around: the letters before and after the beginning, the first of a flight of `flight` rad.
+    around: letters before and after the beginning of a round. flight: duration of the one before, rad.
     """
-    since = np.cumsum(times[first:])  # at the end of each
+    since = np.cumsum(times[first:])  # rad, at the end of each segment
 
     def unlike(j: int) -> float:
         return float(abs(since[j - 1 - first] - whole) + abs(times[j - 1] - flight))
@@ -419,10 +428,15 @@ def end_of_round(letters: str, times: Floats, first: int, whole: float, around: 
 
 
 def cycle_from(plate: Any, cell: Cell, periods: int, state: Floats, within: float = math.inf) -> Point | None:
-    """The cycle of `periods` plate periods near a state (6,), `within` the round read from it, or None."""
+    """The cycle of `periods` plate periods near a state (6,), or None.
+
+    within: how far its unknowns may lie from the round read from the state.
+    """
     guess = read(plate, cell, periods, state)
-    point = None if guess is None else guess[0].at(guess[1], float(cell.gamma))
-    if guess is None or point is None or np.abs(point.x[: guess[1].size] - guess[1]).max() > within:
+    if guess is None:
         return None
-    point, broken = confirmed(point)
-    return point if broken is None else None
+    cycles, x = guess
+    point = cycles.at(x, float(cell.gamma))
+    if point is None or np.abs(point.x - x).max() > within:
+        return None
+    return admissible(point)

@@ -1,8 +1,8 @@
 """Where a stable cycle of any contact ends on the way down, followed through the cycles that it becomes.
 
-It goes on where its segments change, and at a flip as the cycle of twice the period. It ends at a fold, or
-the theory of branches does not decide: at a torus, where numbers of hops accumulate, or where what it becomes
-is not stable or leads up again.
+The cycle goes on where its segments change, and beyond a flip as one of twice the period. It ends at a fold
+or at rest. Branches do not decide its end at a torus, where numbers of hops accumulate, and where the next
+cycle is unstable or leads up again.
 """
 
 from typing import Any, Final, NamedTuple
@@ -12,36 +12,36 @@ import numpy as np
 from kernel.cycles.changes import doubled
 from kernel.cycles.cycles import Cycles, Point
 from kernel.cycles.energy import cycle_energy
-from kernel.cycles.events import Kind
+from kernel.cycles.events import CROSSINGS, Kind
 from kernel.cycles.folds import Cycle, Fold
 from kernel.cycles.follow import End, Event, ahead, follow
 from kernel.cycles.segments import START
 from kernel.models import rigid
 from kernel.numerics.elementary import TWO_PI
 
-#: A cycle is followed through this many flips: doublings crowd together.
+#: Limit on the flips that a cycle is followed through; they crowd together.
 _FLIPS: Final = 4
 
-#: Cycles between two flips, on the way down.
+#: Limit on the cycles between two flips.
 _POINTS: Final = 200
 
-#: A branch may rise by this part of Gamma, next to where its signature begins.
+#: Part of Gamma by which a branch may rise where its signature begins.
 _RISES: Final = 1e-4
 
-#: Step of derivatives along a branch. Its square is their relative error.
+#: Step of derivatives along a branch. Their relative error is its square.
 _ASIDE: Final = 1e-3
 
-#: Events at which a stable cycle ceases to be one.
-_LAST: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, *End)
+#: Events at which a stable cycle ends or loses stability.
+_LAST: Final = (*CROSSINGS, *End)
 
 
 class Descent(NamedTuple):
-    """Where a stable cycle ends on the way down."""
+    """The end of a stable cycle on the way down."""
 
-    gamma: float
-    fold: Fold | None  # None where its flights vanish, at rest, and where it is not known
-    reason: str  # why it is not known, or empty
-    last: Point | None = None  # the cycle at which it is not known
+    gamma: float  # at the end, or the last Gamma known
+    fold: Fold | None  # None if it ends at rest, where its flights vanish, or if the end is unknown
+    reason: str  # why the end is unknown; empty otherwise
+    last: Point | None = None  # the last cycle before an unknown end
 
 
 def ideal_plate() -> Any:
@@ -50,12 +50,12 @@ def ideal_plate() -> Any:
 
 
 def solved(plate: Any, omega: float, xi: float, cycle: Cycle) -> Point:
-    """A cycle that is known, with the equations that it solves."""
+    """A known cycle with the equations that it solves."""
     return Cycles(plate, omega, xi, cycle.letters, cycle.periods).on_branch(cycle.unknowns)
 
 
 def descend(point: Point) -> Descent:
-    """Follow a stable cycle down to its end."""
+    """Follow a stable cycle down to its end. The reason says why if the end is unknown."""
     way = -1.0
     for _ in range(_FLIPS + 1):
         gamma, name = point.parameter, cycle_of(point).name
@@ -96,7 +96,7 @@ def ended(event: Event) -> Descent:
 def folds_of_twice(flip: Point, below: float) -> list[Fold]:
     """The folds at which stable cycles of twice the period end, on the branch that begins at a flip.
 
-    It is followed as far as it stays below a Gamma, its unstable parts too.
+    below: the branch is followed, with its unstable parts, as long as it stays below this Gamma.
     """
     first = doubled(flip)
     if first is None:
@@ -107,7 +107,7 @@ def folds_of_twice(flip: Point, below: float) -> list[Fold]:
 
 
 def fold_of(event: Event) -> Fold:
-    """The record of a fold."""
+    """The record of a fold; NaN where a neighbour is missing."""
     point = event.point
     mu = point.multipliers()
     mu = np.delete(mu, np.argmin(np.abs(mu - 1.0)))  # largest first
@@ -115,7 +115,7 @@ def fold_of(event: Event) -> Fold:
     sides = [ahead(point, step) for step in (-_ASIDE, _ASIDE)]
     if sides[0] is not None and sides[1] is not None:
         curvature = (sides[0].parameter + sides[1].parameter - 2.0 * point.parameter) / _ASIDE**2
-        # the product of 1 - mu is zero here with its own factor
+        # the product of 1 - mu vanishes at the fold; without its own factor it does not
         low, high = (np.prod(1.0 - side.multipliers()) for side in sides if side is not None)
         slope = float(np.real((low - high) / (2.0 * _ASIDE * np.prod(1.0 - mu))))
     balance = cycle_energy(point) if set(point.letters) <= set("Ssz") else None
@@ -124,5 +124,5 @@ def fold_of(event: Event) -> Fold:
 
 
 def cycle_of(point: Point) -> Cycle:
-    """Without the functions that solve it."""
+    """The record of a cycle, without its equations."""
     return Cycle(point.letters, point.cycles.periods, point.x[: START + len(point.letters)])

@@ -1,9 +1,9 @@
 """Energy and momentum of a cycle in closed form (docs/hysteresis.md).
 
-Per cycle, in m A**2 omega**2. The plate works on the lower mass in contact, integral of n (-sin phi), and at
-the impact, W sin phi for a relative velocity W < 0; the dashpot takes b times the integral of q'**2, and an
-impact without restitution W**2/2. The gravity of two masses over 2 pi k rad is what the plate's forces give
-back: integral of n + (-W) = 4 pi k/Gamma.
+Energies are per cycle, in m A**2 omega**2. The plate does work on the lower mass in contact, the integral of
+n (-sin phi), and at the impact, W sin phi for a relative velocity W < 0. The dashpot takes b times the
+integral of q'**2, an impact without restitution W**2/2. The plate's forces balance the gravity of two masses
+over 2 pi k rad: integral of n + (-W) = 4 pi k/Gamma.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
 
 
 class Energy(NamedTuple):
-    """Of n cycles, in m A**2 omega**2 per cycle, momentum in m A omega; arrays (n,)."""
+    """Balance of n cycles: energies per cycle in m A**2 omega**2, momenta in m A omega; arrays (n,)."""
 
     plate_contact: NDArray[np.float64]  # work of the plate in contact
     plate_impact: NDArray[np.float64]  # work of the plate at the impact
-    dashpot: NDArray[np.float64]  # what the dashpot takes
-    impact: NDArray[np.float64]  # what the impact takes
+    dashpot: NDArray[np.float64]  # energy that the dashpot takes
+    impact: NDArray[np.float64]  # energy that the impact takes
     force: NDArray[np.float64]  # integral of n over the contact
     impulse: NDArray[np.float64]  # of the impact
     weight: NDArray[np.float64]  # 4 pi periods/Gamma
 
 
 def energy(omega: float, xi: float, periods: int, flight_time: NDArray[np.float64]) -> Energy:
-    """Of the cycles of one flight in `periods` plate periods whose flights take flight_time (n,) rad.
+    """Balance of the cycles of one flight in `periods` plate periods; flight_time (n,) rad.
 
-    In flight the dashpot takes what the relative motion loses: half the change of q'**2/2 + w q**2. In
-    contact its integral of q'**2 is that of a free and a driven motion, each in closed form.
+    In flight the dashpot takes the loss of the relative motion, half the change of q'**2/2 + w q**2. In
+    contact its integral of q'**2 has a free and a driven part, each in closed form.
     """
     k = spring(omega, xi)
     x = orbit(k, periods, flight_time)
@@ -47,7 +47,7 @@ def energy(omega: float, xi: float, periods: int, flight_time: NDArray[np.float6
 
 
 def cycle_energy(point: "Point") -> Energy:
-    """Of one cycle of several flights on an ideal plate without restitution."""
+    """Balance of one cycle of any number of flights on an ideal plate without restitution."""
     _, omega, xi = point.cell
     k = spring(omega, xi)
     states = [_At(*np.reshape(row[2:6], (4, 1))) for row in point.round.starts]
@@ -70,12 +70,12 @@ class _At(NamedTuple):
 
 
 def _contact(k: Spring, begin: _At, end: _At, span: Array) -> Energy:
-    """What a contact adds, in units of g/omega**2: q'' + b q' + w q = Gamma cos(phi) - 1."""
+    """Balance of one contact, where q'' + b q' + w q = Gamma cos(phi) - 1; lengths in g/omega**2."""
     drive = _cosine_of_velocity(k, begin, span)
     stored = 0.5 * (end.v * end.v - begin.v * begin.v)
     stored = stored + 0.5 * k.stiffness * (end.q * end.q - begin.q * begin.q)
-    # n = 1 - Gamma cos(phi) - b q' - w q = 2 - 2 Gamma cos(phi) + q''. Against -Gamma sin(phi):
-    # the integral of -2 sin and of 2 sin cos are of the ends; q'' (-sin) by parts is -q' sin + q' cos
+    # n = 1 - Gamma cos(phi) - b q' - w q = 2 - 2 Gamma cos(phi) + q''. Integrated times -Gamma sin(phi):
+    # -2 sin and 2 sin cos depend on the ends alone; q'' (-sin) by parts gives -q' sin + q' cos
     work = 2.0 * (end.c - begin.c) - (end.c * end.c - begin.c * begin.c)
     work = work - (end.v * end.s - begin.v * begin.s) + drive
     force = 2.0 * span - 2.0 * (end.s - begin.s) + end.v - begin.v
@@ -84,7 +84,7 @@ def _contact(k: Spring, begin: _At, end: _At, span: Array) -> Energy:
 
 
 def _flight(k: Spring, begin: _At, end: _At, impact: Array) -> Energy:
-    """What a flight and its landing add, in units of g/omega**2."""
+    """Balance of one flight and its landing; lengths in g/omega**2."""
     before = end.v - impact  # v before the impact; q does not jump
     lost = 0.25 * (begin.v * begin.v - before * before)
     lost = lost + 0.5 * k.stiffness * (begin.q * begin.q - end.q * end.q)
@@ -93,7 +93,7 @@ def _flight(k: Spring, begin: _At, end: _At, impact: Array) -> Energy:
 
 
 def _total(parts: list[Energy], gamma: Array, periods: int) -> Energy:
-    """Their sum in m A**2 omega**2 and m A omega."""
+    """Sum of the balances of contacts and flights, in m A**2 omega**2 and m A omega."""
     e = Energy(*(np.sum(x, axis=0) for x in zip(*parts, strict=True)))
     square = 1.0 / (gamma * gamma)
     return Energy(

@@ -1,4 +1,4 @@
-"""Branches with one flight in k plate periods and where they turn, lose stability, or end."""
+"""Branches of cycles with one flight in k plate periods, and where they turn, lose stability or end."""
 
 from collections.abc import Sequence
 from enum import StrEnum
@@ -23,53 +23,53 @@ from kernel.cycles.roots import Floats, Ints, Roots, roots
 from kernel.cycles.spring import STEP, Spring, spring
 from kernel.params import KernelInputError
 
-#: Points of a branch unless more are needed.
+#: Fewest points of a branch.
 POINTS: Final = 400
 
-#: Samples of a flight or contact unless more are needed.
+#: Fewest samples of a flight or contact.
 SAMPLES: Final = 64
 
-#: Points of a branch at most: enough for (1,1) down to Omega = 0.004.
+#: Limit on the points of a branch: enough for (1,1) down to Omega = 0.004.
 MAX_POINTS: Final = 20_000
 
-#: rate * spacing of the grid. A cubic between neighbours is then good to 0.2**4/384 = 4e-6.
+#: Largest rate * spacing of the grid. The error of a cubic between neighbours is then 0.2**4/384 = 4e-6.
 _RESOLUTION: Final = 0.2
 
-#: The same for samples of a flight or contact, 2e-4: minima near zero are followed to rounding anyway.
+#: The same for samples of a flight or contact, error 2e-4: minima near zero are refined anyway.
 _SAMPLED: Final = 0.5
 
-#: Spacing over distance from the ends, where a stiff dashpot's motion decays within a small part of the grid.
+#: Spacing over distance from the ends, where the motion of a stiff dashpot decays within a few points.
 _GRADING: Final = 0.1
 
-#: Rounds of halving for grazes at which Newton's method fails, and its steps in each.
+#: Halvings of a bracket in which Newton's method finds no graze, and Newton steps after each.
 _ROUNDS: Final = 12
 _STEPS: Final = 8
-#: Of which it may leave its bracket by more than the bracket's width in these.
+#: After this many steps Newton's method must stay within a width of its bracket.
 _FIRST_STEPS: Final = 3
 
-#: How far beside a pole, or an event at an end of a flight or contact, grazes are looked for, rad.
+#: Distance from a pole, or from an event at an end of a flight or contact, at which grazes are sought, rad.
 _NEXT: Final = 1e-7
 
-#: Grazing orbits break one condition by rounding: by less than this in plate amplitudes or m A omega**2.
+#: Rounding breaks one condition of a grazing orbit by less than this, in plate amplitudes or m A omega**2.
 GRAZES: Final = 1e-9
 
-#: omega, 1/omega and xi up to here: the squares of the spring's rates are far from over- and underflow.
+#: Largest omega, 1/omega and xi: squares of the spring's rates then neither overflow nor underflow.
 _EXTREME: Final = 1e60
 
-#: Above this Gamma an orbit is a pole of the closed form.
+#: An orbit above this Gamma is a pole of the closed form.
 _POLE: Final = 1e8
 
 
 class _Brackets(NamedTuple):
-    """Flight times (m,) between which a condition breaks or ceases to."""
+    """Pairs of flight times (m,), rad, between which a condition begins or ceases to hold."""
 
     broken: Floats  # where it is broken
-    holds: Floats  # and where it holds
-    time: Floats  # rad, of the deepest minimum where it is broken
+    holds: Floats  # where it holds
+    time: Floats  # rad, of the deepest minimum at `broken`
 
 
 class Kind(StrEnum):
-    """What happens to a branch at an event."""
+    """The kind of an event on a branch."""
 
     FOLD = "fold"  # a multiplier is 1: the branch turns back
     FLIP = "flip"  # a multiplier is -1: the period doubles
@@ -83,9 +83,10 @@ class Kind(StrEnum):
 
 
 class Branch(NamedTuple):
-    """n cycles in order along their branch, in closed form by flight time; of the longest flight of each.
+    """n cycles in order along their branch, in closed form by flight time.
 
-    Lengths in plate amplitudes, velocities in plate amplitudes per rad.
+    Fields of a flight belong to the longest of the cycle. Lengths are in plate amplitudes, velocities in
+    plate amplitudes per rad.
     """
 
     periods: int
@@ -93,7 +94,7 @@ class Branch(NamedTuple):
     xi: Floats  # (n,)
     gamma: Floats  # (n,)
     flights: NDArray[np.int32]  # (n,) of a cycle
-    bounces: NDArray[np.int32]  # (n,) of them, that count
+    bounces: NDArray[np.int32]  # (n,) flights long enough to count
     flight_time: Floats  # (n,) rad
     takeoff_phase: Floats  # (n,) rad, in [0, 2 pi)
     elongation: Floats  # (n,) at take-off
@@ -105,7 +106,7 @@ class Branch(NamedTuple):
 
 
 class Events(NamedTuple):
-    """m events, by kind and flight time; of the cycles at which they happen."""
+    """m events by kind and flight time, with the cycles at which they happen."""
 
     kind: NDArray[np.str_]  # (m,) a Kind
     omega: Floats  # (m,)
@@ -120,19 +121,21 @@ class Events(NamedTuple):
 
 Record = TypeVar("Record", bound=NamedTuple)
 
-#: The functions whose roots are events, in the order of `_tests`: all kinds but those of codimension 2.
-KINDS: Final = tuple(Kind)[:-3]
-_OF_THE_TIMES: Final = 3  # the first of them depend on the times alone
-
-#: The index of the function after them: it is zero where Gamma is infinite.
-_POLES: Final = len(KINDS)
+#: Kinds at which a multiplier crosses the unit circle. They depend on the flight time alone.
+CROSSINGS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
 
 #: Kinds at which an orbit stops being admissible.
-EDGES: Final = KINDS[_OF_THE_TIMES:]
+EDGES: Final = (Kind.IMMEDIATE_TAKEOFF, Kind.GRAZE_FLIGHT, Kind.GRAZE_CONTACT)
+
+#: The kinds along a branch, in the order of `_tests`.
+KINDS: Final = (*CROSSINGS, *EDGES)
+
+#: The index of the function that follows in `_tests`: it is zero where Gamma is infinite.
+_POLES: Final = len(KINDS)
 
 
 def check_spring(omega: float, xi: float, periods: int) -> None:
-    """Raise KernelInputError for a spring or cycle that has no branch here."""
+    """Raise KernelInputError for a spring or a number of plate periods without a branch."""
     if not (np.isfinite(omega) and omega > 0.0):
         raise KernelInputError("omega", f"must be > 0 and finite, got {omega}")
     if not (np.isfinite(xi) and xi >= 0.0):
@@ -153,9 +156,9 @@ def flight_times(
 ) -> Floats:  # fmt: skip
     """A grid (n,) of flight times in (0, 2 pi periods), rad, with n >= points, that resolves the branch.
 
-    Even spacing below 2 pi periods/points and below `resolution` over the sum of the frequencies of the
-    plate, of the flight and of the contact; finer towards both ends where the dashpot relaxes faster than
-    that. Raises KernelInputError if even spacing takes more than `most` of them.
+    The spacing is at most 2 pi periods/points, and `resolution` over the sum of the frequencies of the plate,
+    of the flight and of the contact. It is finer near both ends if the dashpot relaxes faster. Raises
+    KernelInputError if even spacing takes more than `most` points.
     """
     check_spring(omega, xi, periods)
     b, w = 2.0 * xi / omega, 1.0 / omega**2
@@ -183,8 +186,7 @@ def flight_times(
 def branch(omega: float, xi: float, periods: int, flight_time: Floats, tolerance: float = 0.0) -> Branch:
     """The cycles of one flight in `periods` plate periods whose flights take flight_time (n,) rad.
 
-    tolerance: by how much an admissible orbit may break a condition, in plate amplitudes or m A omega**2;
-    `GRAZES` for orbits that graze. Raises KernelInputError.
+    tolerance: as in `admissibility.check`; `GRAZES` for orbits that graze. Raises KernelInputError.
     """
     check_spring(omega, xi, periods)
     k = spring(omega, xi)
@@ -205,7 +207,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         nodes = sampled(k, periods)
         checked = check(k, periods, t, x, nodes)
         zeros = roots(lambda times: _tests(k, periods, times)[:2], t, value, slope)
-        grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= _OF_THE_TIMES])
+        grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= len(CROSSINGS)])
         f = floquet(k, periods, zeros.x)
         torus = (zeros.which != KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
         torus &= zeros.which != _POLES
@@ -215,7 +217,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
 
 
 def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
-    """The folds of the branch (1, periods) below a Gamma; the rest of the branch is not looked at."""
+    """The folds of the branch (1, periods) below a Gamma, without the rest of the branch."""
     t = flight_times(omega, xi, periods)
     k = spring(omega, xi)
 
@@ -229,11 +231,12 @@ def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
         times = times[np.hypot(x.c, x.s) < below]
         if not len(times):
             return join_events([])
-        return _events(k, periods, np.zeros(len(times), np.intp), times, sampled(k, periods))
+        which = np.full(len(times), KINDS.index(Kind.FOLD))
+        return _events(k, periods, which, times, sampled(k, periods))
 
 
 def rows_of(record: Record, which: Any) -> Record:
-    """Some rows of a record, by anything that indexes its arrays."""
+    """The rows of a record that `which` selects: anything that indexes its arrays."""
     fields = record._asdict()
     arrays: Any = {name: values[which] for name, values in fields.items() if isinstance(values, np.ndarray)}
     return record._replace(**arrays)
@@ -249,17 +252,17 @@ def join_events(parts: Sequence[Events]) -> Events:
 
 
 def events_of(kind: Sequence[str], cycles: Branch) -> Events:
-    """The record of events of these kinds (m,), each at one of the cycles (m,)."""
+    """The record of events, given their kinds (m,) and the cycles (m,) at which they happen."""
     shared = (getattr(cycles, name) for name in Events._fields[5:])
     periods = np.full(len(kind), cycles.periods, np.int32)
     return Events(np.array(kind, np.str_), cycles.omega, cycles.xi, cycles.bounces, periods, *shared)
 
 
 def sampled(k: Spring, periods: int) -> Samples:
-    """Samples of gap and n from zero on, as fine as a flight and a contact need.
+    """Sample times of gap and n, and the terms of both there; as fine as a flight and a contact need.
 
-    Each of the first is about twice as late as the one before: where n' at take-off is nearly zero, the gap,
-    which begins as its cube, dips within them.
+    Each of the first times is about twice the one before: the gap begins as the cube of the time, and may dip
+    early if n' is nearly zero at take-off.
     """
     t = flight_times(float(np.real(k.omega)), float(np.real(k.xi)), periods, SAMPLES, _SAMPLED)
     t = np.sort([0.0, *t, 2.0 * t[0], 4.0 * t[0], 2.0 * t[1]])
@@ -267,7 +270,7 @@ def sampled(k: Spring, periods: int) -> Samples:
 
 
 def _branch(k: Spring, periods: int, t: Floats, x: Orbit, violations: NDArray[np.uint8]) -> Branch:
-    """The record of orbits."""
+    """The record of orbits with flights of t rad (n,)."""
     gamma, one = np.hypot(x.c, x.s), np.ones(len(t), np.int32)
     f = floquet(k, periods, t)
     return Branch(
@@ -289,26 +292,29 @@ def _branch(k: Spring, periods: int, t: Floats, x: Orbit, violations: NDArray[np
 
 
 def _events(k: Spring, periods: int, which: Ints, t: Floats, nodes: Samples) -> Events:
-    """The record of the events of kinds `which` at flight times t, without poles, by kind and time."""
+    """The record of the events at flight times t (m,), sorted by kind and time, without poles.
+
+    which: indices into KINDS (m,).
+    """
     x = orbit(k, periods, t)
     gamma = np.hypot(x.c, x.s)
     keep = np.flatnonzero(gamma < _POLE)
     keep = keep[np.lexsort((t[keep], which[keep]))]
     which, t, x = which[keep], t[keep], Orbit(*(a[keep] for a in x))
-    checked = check(k, periods, t, x, nodes, np.where(which < _OF_THE_TIMES, 0.0, GRAZES))
+    checked = check(k, periods, t, x, nodes, np.where(which < len(CROSSINGS), 0.0, GRAZES))
     return events_of([KINDS[i] for i in which], _branch(k, periods, t, x, checked.reason))
 
 
 def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
-    """The functions of KINDS, 1/Gamma, and their slopes (7, n), and the orbits.
+    """The functions of KINDS and 1/Gamma (7, n), their slopes (7, n), and the orbits.
 
-    Those of the orbits are times the determinant of their linear system, over |Gamma det|: without poles.
+    The last four have the factor det/|Gamma det|, with det of the orbits' equations, and so no poles.
     """
     f = floquet(k, periods, t)
     z = t + 1j * STEP
     x = orbit(k, periods, z)
     last = np.array([force_at_landing(k, x, z), x.impact, force_slope(k, x), np.ones_like(z)]) * x.det
-    # not differentiated: roots do not ask for it
+    # this factor is not differentiated: at a root that does not matter
     last = last / np.hypot((x.c * x.det).real, (x.s * x.det).real)
     value = np.array([1.0 - f.trace + f.det, 1.0 + f.trace + f.det, f.det - 1.0, *last.real])
     slope = np.array([f.det1 - f.trace1, f.det1 + f.trace1, f.det1, *(last.imag / STEP)])
@@ -316,11 +322,11 @@ def _tests(k: Spring, periods: int, t: Floats) -> tuple[Floats, Floats, Orbit]:
 
 
 def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, edge: Floats) -> Roots:
-    """Where a minimum of the gap inside the flight, or of n inside the contact, passes zero.
+    """Flight times at which a minimum of the gap in flight, or of n in contact, passes zero.
 
-    edge: where one leaves at an end of its flight or contact, and poles.
+    edge: flight times of poles, and of events at which a minimum leaves its flight or contact.
     """
-    where: list[tuple[int, Floats]] = []
+    grazes: list[Roots] = []
     gap, force = _brackets(k, periods, t, checked, np.sort(edge), nodes)
     for kind, contact, brackets in ((Kind.GRAZE_FLIGHT, False, gap), (Kind.GRAZE_CONTACT, True, force)):
         inside = brackets
@@ -329,28 +335,28 @@ def _grazes(k: Spring, periods: int, t: Floats, checked: Check, nodes: Samples, 
                 break
             root, ok = _touch(k, periods, inside, contact)
             ok &= (root - inside.broken) * (root - inside.holds) <= 0.0
-            # another minimum may be below zero where this one passes it
+            # at the root of one minimum another may be below zero
             middle = np.where(ok, root, 0.5 * (inside.broken + inside.holds))
             held = check(k, periods, middle, orbit(k, periods, middle), nodes, np.where(ok, GRAZES, 0.0))
             broken, minimum, _ = held.force if contact else held.gap
             ok &= ~broken
-            where.append((KINDS.index(kind), root[ok]))
+            grazes.append(Roots(np.full(np.count_nonzero(ok), KINDS.index(kind)), root[ok]))
             halved = _Brackets(
                 np.where(broken, middle, inside.broken), np.where(broken, inside.holds, middle),
                 np.where(broken, minimum, inside.time),
             )  # fmt: skip
             inside = rows_of(halved, ~ok)
-    which = [np.full(len(times), kind, np.intp) for kind, times in where]
-    return Roots(np.concatenate([np.empty(0, np.intp), *which]), np.concatenate([[], *(x for _, x in where)]))
+    none = Roots(np.empty(0, np.intp), np.empty(0))
+    return Roots(*map(np.concatenate, zip(none, *grazes, strict=True)))
 
 
 def _brackets(
     k: Spring, periods: int, t: Floats, checked: Check, edge: Floats, nodes: Samples
 ) -> tuple[_Brackets, _Brackets]:
-    """Between which flight times the conditions of flight and contact break, edges left out.
+    """Brackets of the flight times at which the conditions of flight and contact begin or cease to hold.
 
-    t (n,) increasing, checked: the conditions there. On both sides of an edge a condition may hold, or break,
-    in a window narrower than the grid.
+    t (n,): increasing. checked: the conditions there. Changes at an edge (m,) are left out. A condition may
+    change next to it within less than the grid, so that it is checked on both sides.
     """
     edge = edge[(edge > t[0]) & (edge < t[-1])]
     beside = np.concatenate([edge - _NEXT, edge + _NEXT])
@@ -371,9 +377,9 @@ def _brackets(
 
 
 def _touch(k: Spring, periods: int, inside: _Brackets, contact: bool) -> tuple[Floats, NDArray[np.bool_]]:
-    """Newton's method for the flight times T (m,) at which a minimum is zero, from a bracket's broken end.
+    """Flight times (m,) at which a minimum is zero, by Newton's method from each bracket's broken end.
 
-    Also whether it converged to a minimum inside the flight or contact.
+    Also whether it converged (m,) to a minimum inside the flight or contact.
     """
     t, _, time = inside
     middle, width = 0.5 * (inside.broken + inside.holds), np.abs(inside.broken - inside.holds)

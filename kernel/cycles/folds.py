@@ -1,4 +1,4 @@
-"""Folds at which stable cycles end on the way down, and the ghost that bouncing leaves below one."""
+"""Folds at which stable cycles end on the way down, and the lifetime of bouncing below a fold."""
 
 import math
 from collections.abc import Iterator
@@ -12,15 +12,15 @@ from kernel.cycles.events import Events, Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.spring import Spring
 
-#: Flights of cycles with rebound count for their names if they are longer, rad.
+#: Flights longer than this, rad, count in the name of a cycle with rebound.
 MICRO_FLIGHT: Final = 0.05
 
-#: Step of derivatives at a fold, relative to T. Its square is their relative error.
+#: Step of derivatives at a fold, relative to T. Their relative error is its square.
 _DIFFERENCE: Final = 1e-4
 
 
 class Cycle(NamedTuple):
-    """A cycle by its segments, without the functions that solve it: see `kernel.cycles.segments`."""
+    """A cycle by its segments (see `kernel.cycles.segments`), without its equations."""
 
     letters: str
     periods: int
@@ -30,14 +30,14 @@ class Cycle(NamedTuple):
     def word(self) -> str:
         """The letters of its flights, on an ideal plate without restitution; empty for other contacts.
 
-        Of all beginnings the last in order, so that a cycle has one name.
+        A cycle may begin with any flight. The alphabetically last word gives it one name.
         """
         word = self.letters.replace("S", "") if set(self.letters) <= set("Ssz") else ""
         return max((word[i:] + word[:i] for i in range(len(word))), default="")
 
     @property
     def name(self) -> str:
-        """As sentences about it spell it."""
+        """Word, bounces and plate periods, such as `zs (2,2)` or `(1,1)`."""
         times = self.unknowns[-len(self.letters) :]
         flights = [t for t, letter in zip(times, self.letters, strict=True) if letter not in "SC"]
         bounces = len(self.word) or max(sum(t > MICRO_FLIGHT for t in flights), 1)
@@ -47,7 +47,7 @@ class Cycle(NamedTuple):
 class Fold(NamedTuple):
     """A minimum of Gamma along a branch. Primes are derivatives by T, or along the branch."""
 
-    cycle: Cycle  # that turns
+    cycle: Cycle
     flight_time: float  # rad, of the first flight
     gamma: float
     other_multiplier: float  # the largest that is not 1
@@ -68,24 +68,24 @@ class Fold(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As `cause` spells it."""
+        """The fold as a cause of a threshold: `fold (1,2)`, or `fold of word zs (2,2)`."""
         return f"fold {'of word ' if len(self.cycle.word) > 1 else ''}{self.cycle.name}"
 
 
 def lifetime(fold: Fold, below: float) -> float:
-    """Plate periods that bouncing lives at Gamma = fold.gamma - below, below > 0: the ghost of the fold.
+    """Plate periods for which bouncing lasts at Gamma = fold.gamma - below, below > 0.
 
-    Near a fold the slow coordinate x (a flight time) moves by lambda' x per cycle to lowest order in x, and
-    delta below it by -delta lambda'/Gamma'' + lambda' x**2/2 with |lambda'| = |d lambda/dT|, which it crosses
-    in N = (pi/|lambda'|) sqrt(2 Gamma''/delta) cycles. The law holds for delta -> 0, and for any coordinate
-    along the branch.
+    It lingers at the ghost of the fold. Let x be a slow coordinate, such as a flight time. At a distance
+    delta below the fold it moves by -delta lambda'/Gamma'' + lambda' x**2/2 per cycle, lambda' = d lambda/dT,
+    and passes in N = (pi/|lambda'|) sqrt(2 Gamma''/delta) cycles. The law holds for delta -> 0, and for any
+    coordinate along the branch.
     """
     cycles = math.pi / abs(fold.slope) * math.sqrt(2.0 * fold.curvature / below)
     return cycles * fold.periods
 
 
 def minima(k: Spring, events: Events, below: float) -> Iterator[Fold]:
-    """The folds of a (1,k) branch below a Gamma that are minima of it."""
+    """The folds of a (1,k) branch that are minima of Gamma, below a Gamma."""
     for i in np.flatnonzero((events.kind == Kind.FOLD) & (events.gamma < below)):
         t, n = float(events.flight_time[i]), int(events.periods[i])
         step = _DIFFERENCE * t
@@ -94,7 +94,7 @@ def minima(k: Spring, events: Events, below: float) -> Iterator[Fold]:
         if not curvature > 0.0:
             continue
         f = floquet(k, n, np.array([t]))
-        other = float(f.det[0])  # the product of both
+        other = float(f.det[0])  # det is the product of both multipliers, and one is 1
         slope = float((f.trace1[0] - f.det1[0]) / (1.0 - other))
         balance = energy(float(np.real(k.omega)), float(np.real(k.xi)), n, np.array([t]))
         yield Fold(

@@ -1,8 +1,8 @@
 """Branches of cycles of any contact, followed by pseudo-arclength, and their events.
 
-Newton's method with exact derivatives finds the cycle on each plane across the tangent, and every event is
-the zero of one function on such a plane, so that a fold is as well-conditioned as any other point. Where the
-spring's cycle gets other segments, the branch goes on with them (`kernel.cycles.changes`).
+Newton's method with exact derivatives finds the cycle on a plane across the tangent. Every event is a zero of
+one function on such planes, so that a fold is as well-conditioned as any other point. Where the segments of
+the cycle change, the branch goes on with the new ones (`kernel.cycles.changes`).
 """
 
 import math
@@ -15,86 +15,91 @@ import numpy as np
 
 from kernel.cycles.changes import Margin, next_cycle, over_small_segment
 from kernel.cycles.cycles import LANDINGS, Broken, Point, confirmed
-from kernel.cycles.events import Kind
+from kernel.cycles.events import CROSSINGS, Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
 
-#: Steps along a branch: the first, the largest, the smallest; the tangent turns by at most this, rad.
+#: Steps along a branch: the first, the largest and the smallest. The largest turn of the tangent, rad.
 _FIRST, LARGEST, _SMALLEST = 1e-3, 0.1, 1e-10
 _TURN: Final = 0.25
-#: Of a soft contact smaller steps hide a segment that is lost or born.
+#: The smallest step of a soft contact. Smaller ones step over a segment that appears or vanishes.
 _SMALLEST_SOFT: Final = 1e-8
-#: A step to a solution that is no cycle is shortened to this before what lies between is looked for.
+#: A step to a broken solution is shortened to this. Then the change before it is located.
 _NEAR: Final = 1e-6
 
-#: Newton's method along a branch: the last step's size, relative. What it leaves is its square.
+#: Relative size of the last Newton step along a branch. The remaining error is its square.
 _NEARLY: Final = 1e-11
 
-#: Steps of the search for an event, and how often its range is stretched by how much.
+#: Steps of the search for an event. Its range is stretched up to this often, by this factor.
 _STEPS: Final = 80
 _STRETCHES, _STRETCH = 8, 1.3
 
 #: A multiplier this close to 1, -1 or the unit circle makes an event.
 _AT: Final = 1e-4
 
-#: A mass that chatters ceases to stick where it sticks for less than the first, rad, or for less than the
-#: second where the branch does not get on.
+#: A chattering mass has ceased to stick if it sticks for less than the first, rad; where the branch cannot be
+#: followed on, for less than the second.
 _LAST_STICK, _LITTLE_STICK = 1e-6, 1e-4
 
-#: A segment so short, rad, vanishes; neighbours whose multipliers differ by this part differ.
+#: A segment shorter than this, rad, vanishes. Multipliers of neighbours that differ by more, relative, jump.
 _MINUTE, _JUMP = 1e-5, 1e-2
-#: Where a flight that ends a chatter touches so soon, rad, its hops accumulate.
+#: Hops accumulate where the flight that ends a chatter touches within this time, rad.
 _NEXT_HOP: Final = 2e-3
-#: A branch whose longest flight is shorter, rad, ends at rest, and is not followed on below the second, where
-#: multipliers are lost in rounding; Gamma is then off by less than its square.
+#: A branch ends at rest if its longest flight is shorter than the first, rad. It is followed down to the
+#: second: below, rounding hides the multipliers. The error of Gamma is then less than its square.
 _REST, _NOTHING = 1e-2, 1e-4
 
-#: Points of a branch each way, signatures on it, and range of the parameter, unless others are asked for.
+#: Defaults: points of a branch each way, signatures on it, and range of the parameter.
 POINTS: Final = 300
 SIGNATURES: Final = 40
 RANGE: Final = (0.05, 8.0)
 
-_TESTS: Final = (Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER)
-
 
 class End(StrEnum):
-    """Where a branch of a contact ends, beside the kinds of events that all have."""
+    """The kinds of ends of a followed branch. Other events have a `Kind`."""
 
     STICK_VANISHES = "stick-vanishes"  # the mass ceases to stick; beyond, numbers of hops accumulate
     REST = "rest"  # its flights vanish
-    BELOW_SURFACE = "below-surface"  # its only flight stays below the surface, which is no cycle of bounces
-    UNKNOWN_CHANGE = "unknown-change"  # its segments change, and no cycle with others is found
-    CUT_OFF = "cut-off"  # it goes on, beyond the points or signatures that were asked for
+    BELOW_SURFACE = "below-surface"  # its only flight stays below the surface: it no longer bounces
+    UNKNOWN_CHANGE = "unknown-change"  # its segments change, and no cycle is found beyond
+    CUT_OFF = "cut-off"  # it goes on beyond the limit of points or signatures
 
 
 class Event(NamedTuple):
-    """What happens at a cycle of a branch."""
+    """An event at a cycle of a branch."""
 
     kind: Kind | End
     point: Point
     turns: bool = False  # whether the parameter turns back here
-    letters: str = ""  # of a change: the segments with which the branch goes on
-    after: int = 0  # the point that it follows, of those of `follow`
+    letters: str = ""  # the segments beyond a change
+    after: int = 0  # index of the last point before it, among those of `follow`
+
+
+class Followed(NamedTuple):
+    """A branch: its cycles and its events, both in order along it."""
+
+    points: list[Point]
+    events: list[Event]
 
 
 class _Stretch(NamedTuple):
-    """Cycles of one signature but for their number of hops, and why they end."""
+    """Cycles with one signature, apart from their number of hops, and why they end."""
 
     points: list[Point]
     broken: Broken | None = None
-    beyond: Point | None = None  # the solution `step` further that is broken
+    beyond: Point | None = None  # the first broken solution, `step` behind the last cycle
     step: float = 0.0
 
 
 def follow(
     point: Point, way: float, *, points: int = POINTS, span: tuple[float, float] = RANGE,
     until: Callable[[Point], bool] = lambda _: False,
-) -> tuple[list[Point], list[Event]]:  # fmt: skip
-    """The branch from a cycle on, and its events in order.
+) -> Followed:  # fmt: skip
+    """Follow the branch from a cycle on.
 
-    way: of the parameter, first rising (> 0), falling, or as the cycle's tangent says (0). Ends where the
-    parameter leaves `span`, with the first cycle that is `until`, at the first cycle if it comes back to it,
-    or else with an event whose kind is an `End`.
+    way: the parameter first rises (> 0) or falls (< 0); 0 keeps the direction of the cycle's tangent. Stops
+    where the parameter leaves `span`, at the first cycle for which `until` holds, and where a closed branch
+    returns to `point`. Any other end is an event whose kind is an `End`.
     """
     origin = point = point if point.rising * way >= 0.0 else point._replace(tangent=-point.tangent)
     line: list[Point] = []
@@ -119,32 +124,32 @@ def follow(
         if end is not None:
             events.append(Event(end, last, after=len(line) - 1))
         if end is not None or after is None:
-            return line, events
+            return Followed(line, events)
         point = after
-    return line, [*events, Event(End.CUT_OFF, line[-1], after=len(line) - 1)]
+    return Followed(line, [*events, Event(End.CUT_OFF, line[-1], after=len(line) - 1)])
 
 
 def _end(last: Point) -> End | None:
-    """The end that the last cycle is beside."""
+    """The end next to the last cycle, if it is at rest or ceases to stick."""
     if max(last.flights) < _REST:
         return End.REST
     return End.STICK_VANISHES if _shortest_stick(last) < _LITTLE_STICK else None
 
 
 def _end_at(last: Point, broken: Broken) -> End:
-    """The end where the cycle has other segments that are not found."""
-    letter = last.letters[broken.segment]
-    if broken.reason == "touches" and letter == "h" and broken.time < _NEXT_HOP:
+    """The end at a change of segments beyond which no cycle is found."""
+    ending = last.letters[broken.segment]
+    if broken.reason == "touches" and ending == "h" and broken.time < _NEXT_HOP:
         return End.STICK_VANISHES
-    alone = sum(each in LANDINGS for each in last.letters) == 1
+    alone = sum(letter in LANDINGS for letter in last.letters) == 1
     return End.BELOW_SURFACE if broken.reason == "lands softly" and alone else End.UNKNOWN_CHANGE
 
 
 def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Point) -> _Stretch:
-    """Cycles from `first` on, towards its tangent, for as long as their signature is the spring's.
+    """Cycles from `first` on along its tangent, as long as the spring has their signature.
 
-    leaves: whether a cycle is the last that is asked for. origin: the first of the branch, with which a
-    closed one ends.
+    leaves: whether a cycle is the last one wanted. origin: first cycle of the branch, where a closed branch
+    ends.
     """
     line, step, bend = [first], _FIRST, np.zeros(len(first.x))
     smallest = _SMALLEST_SOFT if "C" in first.letters else _SMALLEST
@@ -179,7 +184,7 @@ def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Po
 
 
 def _stepped(last: Point, step: float, bend: Floats) -> tuple[Point | None, float]:
-    """The solution a step further, and the angle by which the tangent turns."""
+    """The solution one step further, and the angle by which the tangent turns, rad."""
     guess = last.x + step * (last.tangent + 0.5 * step * bend)
     point = last.cycles.newton(guess, last.tangent, float(last.tangent @ last.x) + step, _NEARLY)
     if point is None:
@@ -188,7 +193,7 @@ def _stepped(last: Point, step: float, bend: Floats) -> tuple[Point | None, floa
 
 
 def _passes(last: Point, step: float, origin: Point) -> bool:
-    """Whether the first cycle lies within the next step."""
+    """Whether the first cycle of the branch lies within the next step."""
     if last.letters != origin.letters or origin.tangent @ last.tangent < 0.0:
         return False
     away = origin.x - last.x
@@ -200,15 +205,16 @@ def _passes(last: Point, step: float, origin: Point) -> bool:
 
 
 def _events_along(line: list[Point], before: int) -> Iterator[Event]:
-    """Folds, flips and Neimark-Sacker points between neighbours; so many points come before the line."""
+    """Folds, flips and Neimark-Sacker points between neighbours. before: number of points before `line`."""
     tests = np.array([point.tests() for point in line])
     with np.errstate(invalid="ignore"):
         turned = tests[:-1] * tests[1:] < 0.0
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
         point = _root(line[i], _reach(line[i], line[i + 1]), partial(_test, int(which)))
-        if point is not None and happens(_TESTS[which], point):
-            yield Event(_TESTS[which], point, _TESTS[which] is Kind.FOLD, after=before + int(i))
+        if point is not None and happens(CROSSINGS[which], point):
+            kind = CROSSINGS[which]
+            yield Event(kind, point, turns=kind is Kind.FOLD, after=before + int(i))
 
 
 def _test(which: int, point: Point) -> float:
@@ -216,7 +222,7 @@ def _test(which: int, point: Point) -> float:
 
 
 def happens(kind: Kind | End, point: Point) -> bool:
-    """Whether a multiplier is where this kind needs it: a test may also change sign at a pole."""
+    """Whether a multiplier lies at the value of this kind. A test also changes sign at a pole."""
     mu = point.multipliers()
     if kind is Kind.FOLD:
         return bool(np.abs(mu - 1.0).min() < _AT)
@@ -226,7 +232,7 @@ def happens(kind: Kind | End, point: Point) -> bool:
 
 
 def _reach(a: Point, b: Point) -> float:
-    """How far b lies along the tangent at a; about, if their hops differ in number."""
+    """Distance of b along the tangent at a; a rough one if their numbers of hops differ."""
     if len(a.x) == len(b.x):
         return float(a.tangent @ (b.x - a.x))
     start = 1.2 * float(np.linalg.norm(a.x[:START] - b.x[:START])) + 1e-6
@@ -235,16 +241,16 @@ def _reach(a: Point, b: Point) -> float:
 
 
 def ahead(node: Point, reach: float) -> Point | None:
-    """The solution so far along the tangent."""
+    """The solution at this distance along the tangent, or None."""
     goal = float(node.tangent @ node.x) + reach
     point = node.cycles.newton(node.x + reach * node.tangent, node.tangent, goal)
     return None if point is None else point.towards(node.tangent)
 
 
 def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Point | None:
-    """The solution within about `reach` of `node` at which a function is zero that changes sign.
+    """The solution within about `reach` of `node` at which `function` changes sign, by the Illinois rule.
 
-    By the Illinois rule. Where the function is not finite, or there is no solution, it counts as beyond zero.
+    Where there is no solution, or the function is not finite, it counts as having changed sign.
     """
     low, low_value = 0.0, function(node)
     if not math.isfinite(low_value) or low_value == 0.0:
@@ -286,16 +292,16 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
 
 
 def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
-    """The first cycle beyond a change of the signature, or None, and the change if it was located."""
+    """The first cycle beyond a change of the signature, or None; and the change, if it was located."""
     last, broken, beyond = stretch.points[-1], stretch.broken, stretch.beyond
     if broken is not None and beyond is not None and len(beyond.x) == len(last.x):
         margin = Margin(broken, beyond)
         point = _root(last, stretch.step, margin)
         after = None if point is None else next_cycle(margin, point)
         if point is not None and after is not None:
-            kind, at, first = after
+            kind, changed, first = after
             turns = point.towards(last.tangent).rising * first.rising < 0.0
-            return first, [Event(kind, at, turns, first.letters)]
+            return first, [Event(kind, changed, turns, first.letters)]
     if "C" not in last.letters:
         return None, []
     shortest = int(np.argmin(last.times))
@@ -305,19 +311,19 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
             kind, _, first = after
             turns = last.rising * first.rising < 0.0
             event = Event(kind, last, turns, first.letters)
-            return first, [event] if _jump(last, first) else []
+            return first, [event] if _multipliers_jump(last, first) else []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
     return over_small_segment(last, before), []
 
 
-def _jump(a: Point, b: Point) -> bool:
+def _multipliers_jump(a: Point, b: Point) -> bool:
     """Whether the leading multipliers of two neighbours differ."""
-    one, other = a.multipliers()[0], b.multipliers()[0]
-    return bool(min(abs(one - other), abs(one - other.conjugate())) > _JUMP * (1.0 + abs(one)))
+    x, y = a.multipliers()[0], b.multipliers()[0]
+    return bool(min(abs(x - y), abs(x - y.conjugate())) > _JUMP * (1.0 + abs(x)))
 
 
 def _shortest_stick(point: Point) -> float:
-    """Rad for which a mass that chatters sticks; infinite if it does not."""
+    """Duration, rad, for which a chattering mass sticks; infinite without chatter."""
     if "c" not in point.letters:
         return math.inf
     return min(float(t) for t, letter in zip(point.times, point.letters, strict=True) if letter == "S")

@@ -1,7 +1,7 @@
 """All roots of several smooth functions on a grid, by Newton's method inside brackets.
 
-The grid must resolve the functions (`events.flight_times` does): between neighbours each is a cubic but for
-about 1e-5 of its size. Then a pair of roots between neighbours shows as an extremum of that cubic near zero.
+The grid must resolve the functions, as `events.flight_times` does: between neighbours each is a cubic to
+about 1e-5 of its size. A pair of roots between neighbours then shows as an extremum of that cubic near zero.
 """
 
 from collections.abc import Callable
@@ -16,28 +16,28 @@ Ints = NDArray[np.intp]
 #: x (m,) -> values (f, m), slopes (f, m) of f functions.
 Functions = Callable[[Floats], tuple[Floats, Floats]]
 
-#: Newton steps at most. Halving alone shrinks an interval of the grid below rounding in 50.
+#: Limit on Newton steps. Halving alone shrinks an interval of the grid below rounding in 50.
 _STEPS: Final = 80
 
-#: Steps smaller than this part of x are rounding.
+#: Steps below this part of x are rounding.
 _ROUNDING: Final = 4e-16
 
-#: An extremum may be a pair of roots if its cubic is below this part of the values beside it: far above the
-#: cubic's own error, so that none is missed.
+#: An extremum may hide a pair of roots if its cubic is below this part of the values beside it. This is far
+#: above the error of the cubic, so that no pair is missed.
 _NEAR: Final = 0.05
 
-#: Steps of the search for an extremum. Its slope is nearly linear there; six leave rounding.
+#: Steps of the search for an extremum. The slope is nearly linear there, and six steps reach rounding.
 _EXTREMUM_STEPS: Final = 8
 
-#: A sign change is a root if the function falls below this part of its values beside it. At a pole it grows.
+#: A sign change is a root if the function falls below this part of its values beside it,
 _SMALL: Final = 1e-6
 
-#: and is given up as a pole above this many times those values.
+#: and a pole if it grows above this multiple of them.
 _LARGE: Final = 1e3
 
 
 class Roots(NamedTuple):
-    """m roots: the function's index and where it is zero, by function and then by x."""
+    """m roots, sorted by function and then by x: the function's index, and where it is zero."""
 
     which: Ints  # (m,)
     x: Floats  # (m,)
@@ -66,7 +66,10 @@ def roots(functions: Functions, x: Floats, value: Floats, slope: Floats) -> Root
 def _pairs(
     functions: Functions, x: Floats, value: Floats, slope: Floats, change: NDArray[np.bool_]
 ) -> tuple[Ints, Floats]:
-    """Functions (m,), and ends and values (4, m), of brackets around extrema that lie beyond zero."""
+    """Brackets of pairs of roots: indices of functions (m,), and both ends and values (4, m).
+
+    change (f, n - 1): intervals with a sign change, which are left out.
+    """
     left, right = value[:, :-1] * slope[:, :-1] < 0.0, value[:, 1:] * slope[:, 1:] > 0.0
     which, index = np.nonzero(~change & left & right)
     a, b = x[index], x[index + 1]
@@ -96,16 +99,16 @@ def _pairs(
 
 
 def _selected(functions: Functions, which: Ints, x: Floats) -> tuple[Floats, Floats]:
-    """Value and slope of function which[i] at x[i]."""
+    """Value (m,) and slope (m,) of function which[i] at x[i]."""
     value, slope = functions(x)
-    each = np.arange(len(x))
-    return value[which, each], slope[which, each]
+    columns = np.arange(len(x))
+    return value[which, columns], slope[which, columns]
 
 
 def _solve(
     functions: Functions, which: Ints, low: Floats, high: Floats, f_low: Floats, f_high: Floats
 ) -> tuple[Floats, Floats]:
-    """The root in each bracket and the function there; all arrays (m,)."""
+    """The root in each bracket, and the value of the function there; all arrays (m,)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         x = low - f_low * (high - low) / (f_high - f_low)
         x = np.where((x > low) & (x < high), x, 0.5 * (low + high))
@@ -138,9 +141,9 @@ def _solve(
 def cubic_extremum(
     y: Floats, z: Floats, dy: Floats, dz: Floats, sign: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Where on [0, 1], and how deep, sign * p has its minimum, p(0) = y, p(1) = z, p'(0) = dy, p'(1) = dz.
+    """Place in [0, 1] and value of a cubic's minimum (sign 1) or maximum (sign -1); arrays (m,).
 
-    For sign * dy < 0 < sign * dz: there is one.
+    The cubic p has p(0) = y, p(1) = z, p'(0) = dy, p'(1) = dz, with sign * dy < 0 < sign * dz.
     """
     d = z - y
     a, b, c = 3.0 * (dy + dz - 2.0 * d), 2.0 * (3.0 * d - 2.0 * dy - dz), dy  # p' = a x**2 + b x + c
@@ -154,6 +157,6 @@ def cubic_extremum(
 
 
 def stretches(inside: NDArray[np.bool_]) -> list[list[int]]:
-    """The first index and the one past the last of each stretch that is inside."""
+    """The first index, and the one past the last, of each run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
     return edges.reshape(-1, 2).tolist()

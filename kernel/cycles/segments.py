@@ -11,12 +11,11 @@ A cycle is a cyclic list of segments, a letter each, which says how the segment 
     F  a flight that lands on a soft plate
     b  a flight that returns to contact below the surface of a soft plate, without adhesion
 
-Unknowns are the state at the beginning, (gap', q, q', c, s) with gap = 0 and c + i s = Gamma e^{i phi}, and
-the duration of each segment. Equations: one event ends each segment, gap', q and q' come back, and the
-durations add up to 2 pi periods: one fewer than unknowns. With lengths in units of g/omega**2 every motion is
-linear in the state, so that one function moves the state and all its derivatives. An event function has a
-root at zero duration, which is divided out: times, not velocities, are unknowns, and nothing is singular
-where a flight or contact shrinks to nothing.
+The unknowns are the state at the beginning, (gap', q, q', c, s) with gap = 0 and c + i s = Gamma e^{i phi},
+and the duration of each segment. The equations are one fewer: an event ends each segment, gap', q and q'
+return to their values, and the durations add up to 2 pi periods. With lengths in units of g/omega**2 every
+motion is linear in the state, so that one function moves the state and all its derivatives. An event function
+has a root at zero duration, which is divided out: so nothing is singular where a flight or contact vanishes.
 """
 
 import math
@@ -36,25 +35,25 @@ from kernel.numerics.oscillator import propagator, response
 STUCK, HOP, CHATTER, STICKS, TAKES_OFF = (ord(letter) for letter in "Shcsz")
 CONTACT, FLIGHT, BELOW = (ord(letter) for letter in "CFb")
 
-#: Numbers of a start; the durations follow among the unknowns.
+#: Number of unknowns of the start; the durations follow.
 START: Final = 5
 
-#: A duration that is exactly zero is taken as this: what is divided by it stays a number.
+#: Replaces a duration of exactly zero, which is a divisor.
 _SHORTEST: Final = 1e-30
 
-#: Below this rate * time a flight's integrals are summed as power series: 24 terms leave 1/24! = 2e-24.
+#: Below this rate * time the integrals of a flight are power series: 24 terms leave 1/24! = 2e-24.
 _SHORT: Final = 1.0
 _TERMS: Final = 24
 
-#: A row is taken in its turn if its pivot is this part of the largest.
+#: Elimination takes the next row if its pivot is at least this part of the largest.
 _PIVOT: Final = 0.05
 
-#: Evaluations of one phase of the kernel.
+#: Limit on the evaluations of one phase of the kernel.
 _BUDGET: Final = 1_000_000
 
 
 class Motion(NamedTuple):
-    """A state and the constant 1, or a derivative of both: the equations of motion are linear in it."""
+    """A state and the constant 1, or a derivative of both. The equations of motion are linear in it."""
 
     gap: float
     gap1: float
@@ -66,9 +65,9 @@ class Motion(NamedTuple):
 
 
 class Fall(NamedTuple):
-    """The functions of the time t that a flight is a combination of, good to all digits as t -> 0."""
+    """Functions of the time t whose combinations are a flight; accurate as t -> 0."""
 
-    c: float  # of the elongation: q(t) = q(0) c + q'(0) s
+    c: float  # q(t) = q(0) c + q'(0) s
     s: float
     s1: float
     s_int: float  # integral of s from 0 to t
@@ -94,7 +93,7 @@ def _put(x: Any, j: int, z: Motion) -> None:
 
 @inlined
 def _turned(z: Motion, sin: float, cos: float) -> tuple[float, float]:
-    """c and s later."""
+    """The components c and s after the plate has turned by an angle."""
     return z.cos * cos - z.sin * sin, z.cos * sin + z.sin * cos
 
 
@@ -143,7 +142,7 @@ def _gap2(spring: Any, z: Motion) -> float:
 
 @jit
 def _fly(spring: Any, t: float, power: int, x: Any) -> None:
-    """Move the rows of x over a flight; with power 3, gap'' = -n = 0 at its beginning is an equation."""
+    """Move the rows of x over a flight. power 3: gap'' = -n at its beginning is zero by an equation."""
     f = _fall(spring, t)
     b, w = spring.flight.damping, 0.5 * spring.flight.stiffness
     sin, cos = sincos(t)
@@ -199,13 +198,13 @@ def reset(spring: Any, letter: int, x: Any) -> float:  # type: ignore[empty-body
 
 @by_type
 def letter_of(spring: Any, flew: bool, end: Phase) -> int:  # type: ignore[empty-body]
-    """The letter of a contact or flight of the kernel that ended so."""
+    """The letter of a flight (`flew`) or contact of the kernel, by how it ended."""
 
 
 @root_power.register(Spring)
 @jit
 def _rigid_power(spring: Spring, letter: int, before: int) -> int:
-    """gap and gap' are zero after sticking, and n too, or after a take-off at once; gap after a hop."""
+    """After sticking gap, gap' and n are zero; after an immediate take-off gap and gap'; after a hop gap."""
     if letter == STUCK:
         return 0
     return 3 if before == STUCK else 2 if before == TAKES_OFF else 1
@@ -259,7 +258,7 @@ def _rigid_event(spring: Spring, letter: int, z: Motion) -> float:
 @reset.register(Spring)
 @jit
 def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
-    """A landing: the upper mass keeps its velocity, so that q' takes what gap' loses."""
+    """A landing: the upper mass keeps its velocity, so that q' gains what gap' loses."""
     if letter == STUCK:
         return 0.0
     e = spring.restitution
@@ -279,9 +278,10 @@ def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
 
 @jit
 def _rest_of_chatter(spring: Spring, hop: float, value: Motion, x: Any) -> None:
-    """The end of chatter that begins with `hop`, `value` being the state of a mass that sticks at once.
+    """Carry the rows of x to the end of the chatter that begins with `hop`.
 
-    What is added is a function of hop, n and n' (`kernel.models.rigid`), differentiated here.
+    value: the state if the mass stuck at once. The rest of the chatter adds a function of hop, n and n'
+    (`kernel.models.rigid`), which is differentiated here.
     """
     b, w, e = spring.dashpot, spring.stiffness, spring.restitution
     hop = max(hop, _SHORTEST)
@@ -318,14 +318,14 @@ def _rigid_letter(spring: Spring, flew: bool, end: Phase) -> int:
 @root_power.register(SoftSpring)
 @jit
 def _soft_power(spring: SoftSpring, letter: int, before: int) -> int:
-    """A segment that ends as it began; without adhesion a contact begins with gap = 0 and ends with n = 0."""
+    """1 if a segment ends as it began; without adhesion a contact begins at gap = 0 and ends at n = 0."""
     return 1 if spring.adhesive or BELOW in (letter, before) else 0
 
 
 @move.register(SoftSpring)
 @jit
 def _soft_move(spring: SoftSpring, letter: int, before: int, t: float, x: Any) -> None:
-    """In contact, the static part, the driven part and both free modes (`kernel.models.soft_contact`)."""
+    """In contact the motion has a static, a driven and two free parts (`kernel.models.soft_contact`)."""
     if letter != CONTACT:
         _fly(spring, t, _soft_power(spring, letter, before), x)
         return
@@ -361,7 +361,7 @@ def _push(s: SoftSpring, z: Motion) -> float:
 @rate.register(SoftSpring)
 @jit
 def _soft_rate(spring: SoftSpring, letter: int, z: Motion) -> Motion:
-    """As in flight; in contact n pushes the lower mass up, and so shortens the spring."""
+    """As in flight; in contact n also pushes the lower mass up, and so shortens the spring."""
     f = _falling(spring, z)
     n = _push(spring, z) if letter == CONTACT else 0.0
     return Motion(f.gap, f.gap1 + n, f.q, f.q1 - n, f.cos, f.sin, 0.0)
@@ -380,7 +380,7 @@ def _soft_event(spring: SoftSpring, letter: int, z: Motion) -> float:
 @reset.register(SoftSpring)
 @jit
 def _soft_reset(spring: SoftSpring, letter: int, x: Any) -> float:
-    """The gap is zero, but for a take-off without adhesion and a return below the surface."""
+    """Set the gap to zero, except at a take-off without adhesion and at a return below the surface."""
     if letter == FLIGHT or (letter == CONTACT and spring.adhesive):
         for j in range(len(x)):
             x[j, 0] = 0.0
@@ -399,18 +399,18 @@ def _soft_letter(spring: SoftSpring, flew: bool, end: Phase) -> int:
 
 
 class Round(NamedTuple):
-    """A cycle of n segments gone through once; m = START + n unknowns."""
+    """One round of a cycle of n segments; m = START + n unknowns."""
 
-    value: Any  # (m - 1,) of the equations
+    value: Any  # (m - 1,) values of the equations
     slope: Any  # (m - 1, m) their derivatives by the unknowns
-    starts: Any  # (n + 1, 7) motions: at each segment's beginning, and at the end
-    rates: Any  # (n,) of each event function at its end: < 0
+    starts: Any  # (n + 1, 7) motions at each segment's beginning, and at the end
+    rates: Any  # (n,) rates of the event functions at their ends; < 0
     forces: Any  # (n,) n of a mass that sticks, at each landing on an ideal plate
 
 
 @allocating
 def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u: Any) -> Round:
-    """The equations of a cycle at unknowns u (m,): see the module. letters (n,) uint8; plate: of one cell."""
+    """The equations of a cycle at unknowns u (m,), see the module. letters: (n,) uint8, plate: one cell."""
     spring = prepare(plate, 0, 1.0, omega, xi)  # Gamma = 1: lengths in g/omega**2
     n = len(letters)
     m = START + n
@@ -455,16 +455,16 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
 
 @allocating
 def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance: float) -> tuple[Any, Any]:
-    """Newton's step (m,) and the unnormed tangent (m,) on a plane; NaN where there is none.
+    """Newton's step (m,) onto a plane, and the tangent (m,) of any length; NaN where there is none.
 
-    slope (m - 1, m), value (m - 1,) of the equations; the plane is `distance` behind along `direction` (m,).
-    An event depends on the durations up to its own: with these unknowns first the matrix is nearly
-    triangular, and elimination that takes a row out of turn only where it must keeps it so. A cycle of
-    hundreds of hops takes m**2 operations for each number of a start, not m**3.
+    slope (m - 1, m) and value (m - 1,) belong to the equations. The plane lies `distance` back along
+    `direction` (m,). An event depends on the durations up to its own: with the durations first the matrix is
+    nearly triangular, and elimination keeps it so by exchanging rows only where it must. A cycle of hundreds
+    of hops takes START m**2 operations, not m**3.
     """
     n, m = segments, len(direction)
     a = np.empty((m, m + 2))
-    reach = np.full(m, n)  # durations beyond are zero in this row
+    reach = np.full(m, n)  # in each row, entries of later durations are zero
     for i in range(m):
         row = slope[i] if i < m - 1 else direction
         a[i, :n], a[i, n : n + START], a[i, n + START : m] = (
@@ -492,15 +492,15 @@ def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance:
                 for j in range(max(n, k + 1), m + 2):
                     a[i, j] -= factor * a[k, j]
                 reach[i] = max(reach[i], reach[k])
-    found = np.empty((2, m))
+    solution = np.empty((2, m))
     for k in range(m - 1, -1, -1):
         for j in range(2):
             rest = a[k, m + j]
             for i in range(k + 1, m):
                 rest -= a[k, i] * a[i, m + j]
             a[k, m + j] = rest / a[k, k]
-            found[j, k + START if k < n else k - n if k < n + START else k] = a[k, m + j]
-    return found[0], found[1]
+            solution[j, k + START if k < n else k - n if k < n + START else k] = a[k, m + j]
+    return solution[0], solution[1]
 
 
 @allocating
@@ -508,9 +508,9 @@ def lowest(
     plate: Any, omega: float, xi: float, letter: int, before: int, start: Any, since: float, until: float,
     samples: int,
 ) -> tuple[float, float]:  # fmt: skip
-    """(time, value) of the first minimum of a segment's event function between two times; NaN if none.
+    """Time, rad, and value of the first minimum of a segment's event function between two times; NaN if none.
 
-    start (7,): the motion at the segment's beginning. Minima closer than the samples are missed.
+    start (7,): motion at the segment's beginning. Minima closer together than the samples are missed.
     """
     spring = prepare(plate, 0, 1.0, omega, xi)
     x = np.empty((1, 7))
@@ -540,7 +540,7 @@ def lowest(
 def _event_after(
     spring: Any, letter: int, before: int, start: Any, t: float, x: Any
 ) -> tuple[float, float, float]:
-    """A segment's event function after t rad, with two derivatives; x (1, 7) is overwritten."""
+    """A segment's event function after t rad, and its first two derivatives; x (1, 7) is overwritten."""
     for i in range(7):
         x[0, i] = start[i]
     gap2 = _gap2(spring, _get(x, 0)) if root_power(spring, letter, before) == 3 else 0.0
@@ -555,10 +555,10 @@ def _event_after(
 def simulated(
     plate: Any, gamma: float, omega: float, xi: float, phi: float, state: State, span: float, most: int
 ) -> tuple[str, Any, Any]:
-    """The kernel's own segments from a state (plate amplitudes) at phi, over `span` rad, `most` at most.
+    """The kernel's segments from a state (plate amplitudes) at phase phi, over `span` rad, at most `most`.
 
-    Returns their letters (n,), durations (n,) and states (n + 1, 4) at each beginning and at the end. The
-    last that is cut off is left out.
+    Returns letters (n,), durations (n,), rad, and states (n + 1, 4) at each beginning and at the end, without
+    the segment that `span` cuts off.
     """
     letters, times, states = _simulated(plate, gamma, omega, xi, phi, state, span, most)
     return letters.tobytes().decode(), times, states

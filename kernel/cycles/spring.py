@@ -1,11 +1,10 @@
 """The free motions of the spring, for arrays of times and for derivatives by the complex step.
 
-Everything here is an analytic function of the time, of Omega and of xi, so that f(x + i h) gives f' as the
-imaginary part over h, without cancellation (`STEP`). numpy alone: branches are computed where they are asked
-for, and nothing has to be compiled.
+Every function here is analytic in the time, in Omega and in xi: the imaginary part of f(x + i h), over h, is
+f' without cancellation (`STEP`). Uses numpy alone, so that nothing has to be compiled.
 
-Phase phi = omega t in rad. Lengths in this package's closed forms are in units of g/omega**2 (so that
-1/Gamma, the weight, is one and the orbit's equations are linear); results are in plate amplitudes.
+Phase phi = omega t in rad. The closed forms of this package have lengths in units of g/omega**2, where the
+weight is one and the equations of an orbit are linear. Results are in plate amplitudes.
 """
 
 import math
@@ -21,15 +20,15 @@ from kernel.stopping import check
 Array = NDArray[Any]
 Number = float | complex
 
-#: h of the complex step. Its square is below rounding of everything, and above the smallest double.
+#: h of the complex step. Its square is far below rounding, and above the smallest double.
 STEP: Final = 1e-40
 
-#: Below this rate * time the flight's integrals are summed as power series: 24 terms leave 1/24! = 2e-24.
+#: Below this rate * time the integrals of a flight are power series: 24 terms leave 1/24! = 2e-24.
 SHORT: Final = 1.0
 _TERMS: Final = 24
 
-#: Below this |D| t**2 (D the discriminant) sine and exponentials are replaced by their series in D, which is
-#: smooth through critical damping: nine terms leave 0.25**9/19! = 3e-23.
+#: Below this |D| t**2, D being the discriminant, sine and exponentials are series in D, which are smooth
+#: through critical damping: nine terms leave 0.25**9/19! = 3e-23.
 _CRITICAL: Final = 0.25
 _CRITICAL_TERMS: Final = 9
 
@@ -55,7 +54,7 @@ class Free(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """The functions of the time t that the gap is a combination of, good to all digits as t -> 0."""
+    """Functions of the time t whose combination is the gap in flight; accurate as t -> 0."""
 
     free: Free  # of the elongation in flight
     s_int: Array  # integral of s from 0 to t, about t**2/2
@@ -70,7 +69,7 @@ class Flight(NamedTuple):
 
 
 def spring(omega: Number, xi: Number) -> Spring:
-    """The constants; omega and xi may be complex in a complex step."""
+    """The constants of a spring; omega and xi may be complex in a complex step."""
     b, w = 2.0 * xi / omega, 1.0 / (omega * omega)
     size = (w - 1.0) * (w - 1.0) + b * b
     return Spring(omega, xi, b, w, (w - 1.0) / size, -b / size)
@@ -79,7 +78,7 @@ def spring(omega: Number, xi: Number) -> Spring:
 def free(a: Number, w: Number, t: Array) -> Free:
     """The free motion of x'' + 2 a x' + w x = 0 at times t >= 0, underdamped, critical or overdamped.
 
-    Every step of every closed form comes here, so that it can be stopped. Raises `stopping.Stopped`.
+    Every closed form calls this, so that it can be stopped here. Raises `stopping.Stopped`.
     """
     check()
     d = a * a - w
@@ -111,12 +110,12 @@ def free(a: Number, w: Number, t: Array) -> Free:
 
 
 def stuck(k: Spring, t: Array) -> Free:
-    """The free elongation in contact, q'' + b q' + w q = 0."""
+    """The free elongation after t rad in contact, q'' + b q' + w q = 0."""
     return free(0.5 * k.dashpot, k.stiffness, t)
 
 
 def flight(k: Spring, t: Array) -> Flight:
-    """The elongation in flight, q'' + 2 b q' + 2 w q = 0, and its integrals."""
+    """The elongation after t rad in flight, q'' + 2 b q' + 2 w q = 0, and its integrals."""
     b, w = k.dashpot, k.stiffness
     f = free(b, 2.0 * w, t)
     s_int = (1.0 - f.c) / (2.0 * w)
@@ -140,7 +139,7 @@ def flight(k: Spring, t: Array) -> Flight:
 
 @lru_cache(maxsize=64)
 def _response_series(b: Number, w: Number) -> Array:
-    """Coefficients (m, 3) of t**2, t**3, ... in s - t and its first and second integral."""
+    """Coefficients (m, 3) of t**2, t**3, ... in s - t, in its integral, and in the integral of that."""
     before, last, factorial = 0.0 * b, 1.0 + 0.0 * b, 1.0
     rows = []
     for n in range(2, _TERMS):
@@ -155,17 +154,15 @@ def _response_series(b: Number, w: Number) -> Array:
     return series
 
 
-def _circular_series() -> Array:
-    """Coefficients (m, 2) of t**3, t**4, ... in t - sin t and 1 - cos t - t**2/2."""
-    terms = [(-1.0) ** (n // 2 + 1) / math.factorial(n) for n in range(3, _TERMS)]
-    return np.array([[a, 0.0] if n % 2 else [0.0, a] for n, a in enumerate(terms, 3)])
-
-
-_CIRCULAR_SERIES: Final = _circular_series()
+#: Coefficients (m, 2) of t**3, t**4, ... in t - sin t and in 1 - cos t - t**2/2.
+_CIRCULAR_SERIES: Final = np.array([
+    [a, 0.0] if n % 2 else [0.0, a]
+    for n, a in ((n, (-1.0) ** (n // 2 + 1) / math.factorial(n)) for n in range(3, _TERMS))
+])  # fmt: skip
 
 
 def _summed(t: Array, lowest: int, series: Array) -> Array:
-    """Power series (f, n) at times (n,), from their coefficients (m, f) of t**lowest and on."""
+    """Power series (f, n) at times t (n,), from their coefficients (m, f), the first of t**lowest."""
     power = np.empty((len(series), len(t)), t.dtype)
     power[0], power[1:] = t**lowest, t
     return np.asarray(np.einsum("mf,mn->fn", series, np.multiply.accumulate(power)))

@@ -1,7 +1,7 @@
 """States on the cycles of a (1,k) branch, from which a simulation starts.
 
 The state is exact for an ideal plate with restitution 0. Other contacts start from the same elongation, gap
-and velocities, beside a cycle of their own.
+and velocities, near a cycle of their own.
 """
 
 from typing import NamedTuple
@@ -48,7 +48,7 @@ def cycles_at(cell: Cell, periods: int) -> Branch:
 def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:
     """A start on the stable admissible cycle (1, periods) of a cell; None if there is none.
 
-    Of several, the one with the longest flight. Raises KernelInputError.
+    If there are several, on the one with the longest flight. Raises KernelInputError.
     """
     line = cycles_at(cell, periods)
     holds = np.flatnonzero(line.stable & (line.violations == 0))
@@ -56,7 +56,7 @@ def start_on_stable_cycle(cell: Cell, periods: int) -> CycleStart | None:
 
 
 def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> CycleStart | None:
-    """A start on the cycle (1, periods) of a cell whose flight takes nearest to `flight_time`, rad.
+    """A start on the cycle (1, periods) of a cell whose flight time is nearest to `flight_time`, rad.
 
     The cycle may be unstable or not admissible. None if the cell has no cycle. Raises KernelInputError.
     """
@@ -67,7 +67,7 @@ def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> CycleStart |
 
 
 def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
-    """Where along Gamma the branch (1, periods) has a stable admissible cycle, to the resolution of its grid.
+    """Ranges of Gamma with a stable admissible cycle (1, periods), to the resolution of the branch's grid.
 
     Raises KernelInputError.
     """
@@ -78,13 +78,13 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
 
 
 def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
-    """The start on cycle i of a branch."""
+    """A start on cycle i of a branch."""
     cycle = rows_of(line, slice(i, i + 1))
     return CycleStart(Start(_state(cycle), cell), cycle)
 
 
 def _state(cycle: Branch) -> Floats:
-    """The state (6,) of a cycle at phase 0, as STATE_FIELDS; of a branch of one point."""
+    """The state (6,) at phase 0 of a cycle, a branch of one point; as STATE_FIELDS."""
     k = spring(cycle.omega[0], cycle.xi[0])
     t, since = cycle.flight_time, TWO_PI - cycle.takeoff_phase
     x, flies = orbit(k, cycle.periods, t), since < t
@@ -96,6 +96,7 @@ def _state(cycle: Branch) -> Floats:
         f, rest, response = stuck(k, since - t), -1.0 / k.stiffness, k.q_re + 1j * k.q_im
         driven = response * (x.c + 1j * x.s) * np.exp(1j * t)  # about `rest`, at landing
         h, h1 = x.q_land - rest - driven.real, x.v_land + driven.imag
-        now = response * cycle.gamma
-        lengths = [0.0 * h, 0.0 * h, h * f.c + h1 * f.s + rest + now.real, h * f.c1 + h1 * f.s1 - now.imag]
+        driven = response * cycle.gamma  # at phase 0
+        q, q1 = h * f.c + h1 * f.s + rest + driven.real, h * f.c1 + h1 * f.s1 - driven.imag
+        lengths = [0.0 * h, 0.0 * h, q, q1]
     return np.array([0.0, float(flies[0]), *(np.concatenate(lengths) / cycle.gamma)])

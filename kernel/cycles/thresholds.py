@@ -1,16 +1,16 @@
 """The lowest Gamma at which anything bounces, and where flights leap on the way up (docs/hysteresis.md).
 
-Gamma_down is the lowest Gamma at which bouncing persists. Rest ends at Gamma_th (Eq. 25) and bouncing
-exists above it. If the last attractor below it is a (1,k) cycle it ends at a fold of its branch: the rule is
+Gamma_down is the lowest Gamma at which bouncing persists. Rest ends at Gamma_th (Eq. 25), and bouncing exists
+above it. If the last attractor below is a (1,k) cycle, it ends at a fold of its branch. The rule is
 
     Gamma_down = min(Gamma_th, the lowest admissible fold whose other multiplier is inside the unit circle).
 
 The rule is a conjecture: attractors that no (1,k) branch leads to may reach lower. It answers only at
-dampings where a search found none. A stable cycle that ends below the answer otherwise than at a fold is
-followed through the cycles that it becomes, and at a flip below Gamma_th the branch of twice the period to
-its own folds (`kernel.cycles.descent`, compiled; the rest is numpy alone). Where a branch turns below the
-answer at a fold that is unstable on both sides (a torus lives near it) or not admissible (it goes on as
-another word), the answer is `unresolved`.
+dampings where a search found none. A stable cycle that ends below the answer without a fold is followed
+through the cycles that it becomes. At a flip below Gamma_th the branch of twice the period is followed to its
+own folds (`kernel.cycles.descent`, compiled; the rest is numpy alone). The answer is `unresolved` if a branch
+turns below it at a fold that is unstable on both sides, near which a torus may live, or at one that is not
+admissible, where the branch goes on as another word.
 """
 
 import math
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from kernel.cycles.cycles import Point
     from kernel.cycles.descent import Descent
 
-#: Branches (1,1) to (1,k) are looked at.
+#: The rule uses the branches (1,1) to (1, PERIODS).
 PERIODS: Final = 6
 
-#: Stable cycles are looked for on the grid up to this many times Gamma_th: one that ends at a fold below
-#: Gamma_th has a neighbour on the grid that is higher by Gamma'' h**2/2 at most, some 1e-3.
+#: Stable cycles are sought on the grid up to this many times Gamma_th. One that ends at a fold below Gamma_th
+#: has a neighbour on the grid that is higher by at most Gamma'' h**2/2, some 1e-3.
 _MARGIN: Final = 1.05
 
 #: The lowest damping at which the rule decides. Searches found springs whose cycles reach lower than it says
@@ -64,12 +64,12 @@ class Thresholds(NamedTuple):
 def thresholds(
     omega: float, xi: float, cycles: Sequence["Point"] = (), bouncing: float = math.inf
 ) -> Thresholds:
-    """The thresholds as of `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
+    """The thresholds by `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
     return where_searched(conjecture(omega, xi, cycles, bouncing))
 
 
 def where_searched(answer: Thresholds) -> Thresholds:
-    """An answer, `not searched` below SEARCHED_XI."""
+    """The answer, or `not searched` below SEARCHED_XI, with the answer as the reason."""
     xi = answer.xi
     if xi >= SEARCHED_XI:
         return answer
@@ -86,10 +86,10 @@ def conjecture(
 ) -> Thresholds:
     """The thresholds by the rule at any damping, from the branches (1,1) to (1, PERIODS).
 
-    cycles: stable ones of settled cells of this spring; each is followed down, too. bouncing: the lowest
-    Gamma at which a simulation bounces; below the answer it contradicts it. Folds below the answer that are
-    not admissible or not stable leave it unresolved, with cycles too: these do not show what lives near such
-    a fold. Raises KernelInputError.
+    cycles: stable cycles of settled cells of this spring; each is followed down, too. bouncing: the lowest
+    Gamma at which a simulation bounces; below the answer it contradicts the answer. A fold below the answer
+    that is unstable or not admissible leaves it unresolved, whatever the cycles: they do not show what lives
+    near such a fold. Raises KernelInputError.
     """
     rule = closed_form(omega, xi)
     gamma_th, folds = rule.gamma_th, rule.minima
@@ -97,11 +97,11 @@ def conjecture(
     if cycles or not rule.decides:
         from kernel.cycles import descent  # noqa: PLC0415 - imports numba
 
-        known = partial(descent.solved, descent.ideal_plate(), omega, xi)
-        folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(known(flip), gamma_th))]
+        solved = partial(descent.solved, descent.ideal_plate(), omega, xi)
+        folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(solved(flip), gamma_th))]
         lowest = _lowest(folds, gamma_th)
         last = [cycle for cycle in rule.last if cycle.gamma < lowest]
-        ends = [descent.descend(known(cycle.within)) for cycle in last]
+        ends = [descent.descend(solved(cycle.within)) for cycle in last]
         for cycle, end in zip(last, ends, strict=True):
             folds = [fold for fold in folds if end.fold is None or not cycle.leads_to(fold)]
         ends += map(descent.descend, cycles)
@@ -110,9 +110,9 @@ def conjecture(
 
 
 def lowest_end(
-    answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"], bouncing: float = math.inf
+    answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"], bouncing: float
 ) -> Thresholds:
-    """An answer with the lowest Gamma at which a cycle ends, unless something below it does not decide.
+    """The answer with the lowest Gamma at which a cycle ends, or with the reasons why that is undecided.
 
     ends: of cycles that were followed. bouncing: the lowest Gamma at which a simulation bounces.
     """
@@ -130,22 +130,22 @@ def lowest_end(
 
 
 def _lowest(folds: Sequence[Fold], below: float) -> float:
-    """The Gamma of the lowest at which a stable cycle ends; `below` if there is none."""
+    """The lowest Gamma of a fold at which a stable cycle ends; `below` if there is none."""
     return min((below, *(fold.gamma for fold in folds if fold.holds)))
 
 
 class ClosedForm(NamedTuple):
-    """What the branches (1,1) to (1, PERIODS) show below Gamma_th."""
+    """The folds, ends and flips of the branches (1,1) to (1, PERIODS) below Gamma_th."""
 
     gamma_th: float
     jump: float  # NaN if there is none
     minima: list[Fold]
-    last: "list[_LastCycle]"  # where stable cycles end otherwise
-    flips: list[Cycle]  # that are not among these
+    last: "list[_LastCycle]"  # where stable cycles end without a fold
+    flips: list[Cycle]  # the other cycles with a flip
 
     @property
     def decides(self) -> bool:
-        """Whether no cycle has to be followed further."""
+        """Whether no cycle has to be followed for the rule."""
         lowest = _lowest(self.minima, self.gamma_th)
         return not self.flips and all(cycle.gamma >= lowest for cycle in self.last)
 
@@ -166,16 +166,16 @@ def closed_form(omega: float, xi: float) -> ClosedForm:
         folds += minima(k, events, gamma_th)
         last = _last_cycles(k, line, events, gamma_th)
         cycles += last
-        here = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.violations == 0)
+        at_flip = (events.kind == Kind.FLIP) & (events.gamma < gamma_th) & (events.violations == 0)
         followed = [cycle.flight_time for cycle in last]
-        flips += [one_flight(k, n, float(t)) for t in events.flight_time[here] if t not in followed]
+        flips += [one_flight(k, n, float(t)) for t in events.flight_time[at_flip] if t not in followed]
         if n == 1:
             jump = _jump(line, events)
     return ClosedForm(gamma_th, jump, folds, cycles, flips)
 
 
 def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> bool:
-    """Whether a branch has a stable admissible cycle below a Gamma, between folds that is: on its grid."""
+    """Whether a branch has a stable admissible cycle on its grid near or below a Gamma."""
     t = flight_times(omega, xi, periods)
     x, f = orbit(k, periods, t), floquet(k, periods, t)
     t = t[stable(f.trace, f.det) & (np.hypot(x.c, x.s) < _MARGIN * below)]
@@ -191,22 +191,22 @@ def _why(fold: Fold) -> str:
 
 
 class _LastCycle(NamedTuple):
-    """Where stable cycles of a branch end on the way down, otherwise than at a fold."""
+    """The end of stable cycles of a branch on the way down, without a fold."""
 
     gamma: float
     flight_time: float  # rad
-    within: Cycle  # a stable one beside it
-    beyond: tuple[float, float]  # rad, between which the orbits that follow are not admissible
+    within: Cycle  # a stable cycle next to the end
+    beyond: tuple[float, float]  # range of flight times, rad, of the orbits beyond that are not admissible
 
     def leads_to(self, fold: Fold) -> bool:
-        """Whether a fold that is not admissible lies beyond."""
+        """Whether a fold lies beyond the end, among the orbits that are not admissible."""
         low, high = self.beyond
         on_branch = fold.periods == self.within.periods and low <= fold.flight_time <= high
         return on_branch and bool(fold.violations)
 
 
 def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[_LastCycle]:
-    """Those below a Gamma."""
+    """The ends without a fold of the branch's stable cycles, below a Gamma."""
     lives = line.stable & (line.violations == 0)
     cycles = []
     for first, last in stretches(lives):
@@ -214,30 +214,32 @@ def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[
             if not 0 <= outside < len(lives):
                 continue  # T -> 0 is Eq. 25; at T -> 2 pi k a contact vanishes, far above
             low, high = sorted((line.flight_time[inside], line.flight_time[outside]))
-            here = (events.flight_time >= low) & (events.flight_time <= high)
-            if line.gamma[outside] > line.gamma[inside] or (here & (events.kind == Kind.FOLD)).any():
+            between = (events.flight_time >= low) & (events.flight_time <= high)
+            if line.gamma[outside] > line.gamma[inside] or (between & (events.kind == Kind.FOLD)).any():
                 continue
             after = line.flight_time[_stretch(line.violations != 0, outside, outside - inside)]
             beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
             within = one_flight(k, line.periods, float(line.flight_time[inside]))
-            for i in np.flatnonzero(here & (events.gamma < below)):
+            for i in np.flatnonzero(between & (events.gamma < below)):
                 gamma, t = float(events.gamma[i]), float(events.flight_time[i])
                 cycles.append(_LastCycle(gamma, t, within, beyond))
     return cycles
 
 
 def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
-    """The indices from a start on, in a direction, as long as they are inside."""
+    """The indices from `start` on in a direction (1 or -1), as long as `inside` holds."""
     side = np.arange(start, len(inside) if direction > 0 else -1, direction)
     return side[: int(np.argmin(np.append(inside[side], False)))]
 
 
 def _jump(line: Branch, events: Events) -> float:
-    """The fold that ends the cycles that begin at Gamma_th; NaN if they end otherwise."""
+    """Gamma of the fold at which the cycles that begin at Gamma_th end; NaN if they end otherwise."""
     lives = line.stable & (line.violations == 0)
     if not lives[0] or lives.all():
         return math.nan
     last = int(np.argmin(lives))
-    here = (events.flight_time >= line.flight_time[last - 1]) & (events.flight_time <= line.flight_time[last])
-    folds = np.flatnonzero(here & (events.kind == Kind.FOLD))
+    between = (events.flight_time >= line.flight_time[last - 1]) & (
+        events.flight_time <= line.flight_time[last]
+    )
+    folds = np.flatnonzero(between & (events.kind == Kind.FOLD))
     return float(events.gamma[folds[0]]) if len(folds) else math.nan

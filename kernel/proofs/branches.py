@@ -1,9 +1,9 @@
 """Proofs on an ideal plate with e = 0: folds and flips of the cycles (1,k), upper bounds of Gamma_down.
 
-The tangent map of a cycle (1,k) depends on its flight time T alone, and Jury's conditions of it have no poles
-on [0, 2 pi k]: their zeros can be counted. A fold is a simple zero of 1 - tr + det, by the implicit function
-theorem: the equations of a cycle with T given are regular, and Gamma is stationary along them just where
-those with Gamma given are singular.
+The tangent map of a cycle (1,k) depends on its flight time T alone. Jury's conditions of it have no poles on
+[0, 2 pi k], so that their zeros can be counted. A fold is a simple zero of 1 - tr + det, by the implicit
+function theorem: the equations of a cycle with T given are regular, and Gamma is stationary exactly where the
+equations with Gamma given are singular.
 """
 
 from functools import partial
@@ -17,19 +17,25 @@ from kernel.cycles.folds import Cycle, Fold
 from kernel.proofs.balls import NotProvenError, bounds, first_proven, flow
 from kernel.proofs.cycles import START, Cycles, Law, Proven, amplitude
 
-_NEAR: Final = 1e-9  # how far an event may lie from its guess, rad; no stretch is divided that is narrower
-_ABOVE: Final = (1e-3, 1e-4, 1e-5, 1e-6)  # how far from a fold stability is shown, rad
-_BESIDE: Final = (1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4)  # and of a longer word: one may be on either side
+#: Largest distance of an event from its guess, and the narrowest stretch that is divided, rad.
+_NEAR: Final = 1e-9
+#: Distances from a fold up to which stability is shown, rad, tried in turn.
+_ABOVE: Final = (1e-3, 1e-4, 1e-5, 1e-6)
+#: The same for a longer word, whose stable cycles may be on either side.
+_BESIDE: Final = (1e-6, -1e-6, 1e-5, -1e-5, 1e-4, -1e-4)
 
 
 def prove_down(omega: float, xi: float, fold: Fold) -> Proven:
-    """That a stable cycle exists at `gamma`; one of one flight, just above. Raises `NotProvenError`."""
+    """Prove that a stable cycle exists at `gamma`, near a fold. Raises `NotProvenError`.
+
+    For cycles of one flight: that one exists at every Gamma just above the fold.
+    """
     prove, asides = (_above, _ABOVE) if fold.cycle.letters == "Ss" else (_beside, _BESIDE)
     return first_proven(*(partial(prove, omega, xi, fold, aside) for aside in asides))
 
 
 def _above(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
-    """Stable cycles at every Gamma between those of a fold and of a flight time aside."""
+    """Prove that stable cycles exist from the Gamma of a fold to that of a flight time `aside`, rad."""
     branch = Branch(omega, xi, fold.periods)
     _, low, (t,) = branch.event(Kind.FOLD, fold.flight_time)
     far = t + aside if branch.jury(t)[Kind.FOLD][1] > 0 else t - aside
@@ -43,30 +49,30 @@ def _above(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
 
 
 def _beside(omega: float, xi: float, fold: Fold, aside: float) -> Proven:
-    """The stable cycle of a word whose first flight differs by so much from that at the fold."""
+    """Prove that a stable cycle exists whose first flight is `aside`, rad, longer than at the fold."""
     cycles = Cycles(Law(), omega, xi, fold.cycle)
     says = f"a stable cycle of the word {fold.cycle.word} exists at down_at_most"
     return cycles.stable(cycles.box(arb(fold.flight_time + aside), by_flight=True), says)
 
 
 class Branch(Cycles):
-    """The branch (1, periods), at the present precision. With a flight time given any guess does."""
+    """The branch (1, periods), at the present precision. A given flight time needs no guess of the cycle."""
 
     def __init__(self, omega: float, xi: float, periods: int) -> None:
         super().__init__(Law(), omega, xi, Cycle("Ss", periods, np.ones(START + 2)))
 
     def event(self, kind: Kind, flight_time: float) -> Proven:
-        """The only fold or flip beside a flight time. Raises `NotProvenError`."""
+        """Prove that exactly one fold or flip lies near a flight time, rad. Raises `NotProvenError`."""
         zeros = self.zeros(kind, arb(flight_time, _NEAR))
         if len(zeros) != 1:
             raise NotProvenError("no event is near")
         return Proven("exactly one event lies here", amplitude(self.box(zeros[0], by_flight=True)), zeros)
 
     def zeros(self, kind: Kind, stretch: arb | None = None) -> list[arb]:
-        """Flight times, a ball each, of every fold or flip in a ball, [0, 2 pi k] without, in order.
+        """Flight times, rad, of all folds or flips in a stretch, in order; each is a ball.
 
-        Where Newton's operator maps a ball into itself there is exactly one zero of a condition. Flips beside
-        poles of Gamma count too. Raises `NotProvenError`.
+        stretch: by default [0, 2 pi k]. A ball that Newton's operator maps into itself has exactly one zero.
+        Flips near poles of Gamma count too. Raises `NotProvenError`.
         """
         stretches, zeros = [arb(0).union(self.whole) if stretch is None else stretch], list[arb]()
         while stretches:
@@ -85,12 +91,12 @@ class Branch(Cycles):
         return zeros
 
     def jury(self, t: arb) -> dict[Kind, tuple[arb, arb]]:
-        """Jury's conditions of the tangent map of (q, q'), > 0 if it contracts, with derivatives by T."""
-        # a landing, of variations at fixed phase
+        """Jury's conditions of the tangent map of (q, q') (> 0: it contracts), and derivatives by T."""
+        # the landing of variations at fixed phase
         land = arb_mat([[0] * 7, [0] * 7, [1, 0, 1, *[0] * 4], [-self.b, 1, 0, 1, 0, 0, 0], *[[0] * 7] * 3])
-        kept = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
-        before = flow(self.flight, t) * kept.transpose()
-        after = kept * flow(self.contact, self.whole - t)
+        projection = arb_mat([[0, 0, 1, *[0] * 4], [0, 0, 0, 1, 0, 0, 0]])
+        before = flow(self.flight, t) * projection.transpose()
+        after = projection * flow(self.contact, self.whole - t)
         maps = after * land * before, after * (land * self.flight - self.contact * land) * before
         a, b, c, d = (arb_series(list(pair)) for pair in zip(*(x.entries() for x in maps), strict=True))
         trace, det = a + d, a * d - b * c

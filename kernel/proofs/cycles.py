@@ -1,10 +1,10 @@
-"""Proofs for one cycle under any contact law, from its segments: that it exists, admissible and stable.
+"""Proofs that one cycle exists under a contact law, is admissible and is stable, from its segments.
 
-State (gap, gap', q, q', c, s, 1) with c + i s = Gamma exp(i phi), lengths in g/omega**2: every phase, landing
-and contact law is linear in it, so that a phase of t rad is the exponential of a matrix times t. Words and
-unknowns are those of `kernel.cycles.segments`: (gap', q, q', c, s) where the first segment begins, and the
-duration of each. The events, the return after the periods, and Gamma or the first flight's duration are as
-many equations. Where Newton's operator maps a box into itself, exactly one solution lies in it.
+The state is (gap, gap', q, q', c, s, 1) with c + i s = Gamma exp(i phi) and lengths in g/omega**2. Every
+phase, landing and contact law is linear in it: a phase of t rad is the exponential of a matrix times t. Words
+and unknowns are those of `kernel.cycles.segments`: (gap', q, q', c, s) where the first segment begins, and
+the duration of each segment. There are as many equations: the events, the return after the periods, and a
+given Gamma or first flight. A box that Newton's operator maps into itself contains exactly one solution.
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,10 @@ from kernel.proofs.balls import Condition, NotProvenError, exact, flow
 from kernel.restitution import scalar_damping_ratio
 
 _MOST_HOPS: Final = 400  # of one chatter
-_STEPS: Final = 40  # of Newton's method, at most
-_NEAR: Final = 5e-7  # how far a proven cycle may lie from its guess, in its start and in any instant
+_STEPS: Final = 40  # limit on Newton steps
+_NEAR: Final = 5e-7  # largest distance of a proven cycle from its guess, in its start and in any instant
 
-#: Places in a state; among unknowns the first is left out, and durations follow.
+#: Places in a state. The unknowns lack the first, and the durations follow.
 GAP, GAP1, Q, Q1, COS, SIN, ONE = range(7)
 START: Final = 5
 
@@ -37,7 +37,7 @@ class Law(NamedTuple):
 
 
 class Proven(NamedTuple):
-    """What holds for certain of exactly one cycle in these balls."""
+    """A statement that is proven for the one cycle in these balls."""
 
     says: str
     gamma: arb
@@ -45,15 +45,15 @@ class Proven(NamedTuple):
 
 
 def prove_cycle(law: Law, cell: Cell, guess: Cycle) -> Proven:
-    """That a stable cycle exists beside a guess, begun where a mass takes off. Raises `NotProvenError`."""
+    """Prove that a stable cycle exists near a guess that begins at a take-off. Raises `NotProvenError`."""
     says = "a cycle with these flights exists, alone in its box, admissible and stable"
 
     def prove() -> Proven:
         cycles = Cycles(law, cell.omega, cell.xi, guess)
         box = cycles.box(exact(cell.gamma))
         instants = compress(accumulate(box[START:]), cycles.ends)
-        known = [*guess.unknowns[:START].tolist(), *accumulate(guess.unknowns[START:].tolist())]
-        if not all(abs(x - y) < _NEAR for x, y in zip([*box[:START], *instants], known, strict=True)):
+        guessed = [*guess.unknowns[:START].tolist(), *accumulate(guess.unknowns[START:].tolist())]
+        if not all(abs(x - y) < _NEAR for x, y in zip([*box[:START], *instants], guessed, strict=True)):
             raise NotProvenError("no cycle is so near")
         return cycles.stable(box, says)
 
@@ -65,11 +65,14 @@ class _Segment(NamedTuple):
     motion: arb_mat  # (7, 7)
     event: arb_mat  # (1, 7) zero where it ends
     reset: arb_mat  # (7, 7)
-    conditions: list[list[Condition]]  # of each, one is positive at every instant
+    conditions: list[list[Condition]]  # one of each list is positive at every instant
 
 
 class Cycles:
-    """The cycles of a word in a spring, at the present precision. Raises `NotProvenError` if it has none."""
+    """The cycles of a word in a spring, at the present precision.
+
+    Raises `NotProvenError` if no motion has the word.
+    """
 
     def __init__(self, law: Law, omega: float, xi: float, guess: Cycle) -> None:
         self._e, self._sided = exact(law.restitution), law.penetration is not None and not law.adhesive
@@ -83,7 +86,7 @@ class Cycles:
             self.flight[place] = rate
         letters, self._force = "Shc" if law.restitution else "Ssz", arb_mat([[0, 0, -w, -b, -1, 0, 1]])
         if law.penetration is not None:
-            # the gap in units of the scale: both rates of a contact are then that, not its square
+            # the gap in units of the scale: the rates of a contact are then the scale, not its square
             letters, scale = "CF" if law.adhesive else "CFb", 1 / exact(law.penetration)
             self.flight[GAP, GAP1] = scale
             damping = arb(scalar_damping_ratio(law.restitution, law.adhesive))  # the kernel's double
@@ -95,7 +98,7 @@ class Cycles:
         if not (all(stays) and set(word) <= set(letters)) or (self._sided and word[-1] in "Cb"):
             raise NotProvenError(f"no motion has the word {word}")
         self._segments = [self._segment(letter, word[i - 1]) for i, letter in enumerate(word)]
-        self.ends = [True] * len(word)  # whether a segment of the guess ends with a segment
+        self.ends = [True] * len(word)  # whether a segment of the guess ends with each segment
         self._start = list(map(exact, guess.unknowns))
         if "c" in word:
             self._spell_out_chatter()
@@ -103,9 +106,9 @@ class Cycles:
     def _segment(self, letter: str, before: str) -> _Segment:
         up, force, reset, below = self._up, self._force, arb_mat(7, 7, 1), int(before == "b")
         if letter in "hcsz":
-            kept = self._e if letter == "h" else 0
-            # the gap is zero: setting it keeps errors of one hop out of the next
-            reset[GAP, GAP], reset[GAP1, GAP1], reset[Q1, GAP1] = 0, -kept, 1 + kept
+            rebound = self._e if letter == "h" else 0
+            # a gap set to zero keeps the errors of one hop out of the next
+            reset[GAP, GAP], reset[GAP1, GAP1], reset[Q1, GAP1] = 0, -rebound, 1 + rebound
         landing: list[list[Condition]] = [[(up, {"S": 3, "z": 2}.get(before, 1), True)]]
         event, conditions = {
             "S": (force, [[(force, 0, True)]]),
@@ -117,10 +120,10 @@ class Cycles:
         return _Segment(letter, self.contact if letter in "SC" else self.flight, event, reset, conditions)
 
     def _spell_out_chatter(self) -> None:
-        """Take in the hops of chatters until they leave at less than the root of the widest box.
+        """Add the hops of chatters as segments, down to the square root of the widest box.
 
-        A guess takes the rest of a chatter for an instant, and the mass sticks from there on. Its hops are
-        here a part of that contact, each as long as under a constant force: Newton's method corrects that.
+        A guess ends a chatter in an instant, and the mass sticks. Here the hops take a part of that contact,
+        each as long as under a constant force; Newton's method corrects them.
         """
         y, word, times, self.ends = arb_mat(7, 1, [0, *self._start[:START], 1]), "", list[arb](), []
         for segment, t in zip(self._segments, self._start[START:], strict=True):
@@ -137,7 +140,10 @@ class Cycles:
         self._segments, self._start[START:] = list(map(self._segment, word, word[-1] + word[:-1])), times
 
     def box(self, given: arb, *, by_flight: bool = False) -> list[arb]:
-        """It has exactly one cycle of this Gamma, or of each first flight in this ball (interval Newton)."""
+        """A box with exactly one cycle of the `given` Gamma, or of each first flight in that ball, rad.
+
+        By interval Newton. Raises `NotProvenError`.
+        """
         m = len(self._start)
         flies = next(i for i, segment in enumerate(self._segments, START) if segment.letter not in "SC")
 
@@ -159,13 +165,17 @@ class Cycles:
             x = (x - step).mid()
         far = max((change.abs_upper() for change in step.entries()), key=float)
         wide = x + arb_mat(m, 1, [arb(0, arb(2) ** (-ctx.prec // 3) + 4 * far)] * m)
-        found = x - equations(wide)[1].solve(value, algorithm="precond")
-        if not wide.contains(found):
+        image = x - equations(wide)[1].solve(value, algorithm="precond")
+        if not wide.contains(image):
             raise NotProvenError("no box is mapped into itself")
-        return found.entries()
+        return image.entries()
 
     def _round(self, x: Sequence[arb]) -> tuple[list[list[Any]], list[arb_mat]]:
-        """Events, return of gap', q, q' and phase, (1 + m,) with derivatives; states where segments begin."""
+        """The equations of one round, and the states where segments begin.
+
+        The equations, (1 + m,) each with its derivatives, are the events and the returns of gap', q, q' and
+        the phase.
+        """
         y, rows, starts = arb_mat(7, 1 + len(x)), list[list[Any]](), list[arb_mat]()
         for place in range(GAP1, ONE):
             y[place, 0], y[place, place] = x[place - 1], 1
@@ -184,14 +194,14 @@ class Cycles:
         return [*rows, [late, *[0] * START, *[1] * len(self._segments)]], starts
 
     def _rest_of_chatter(self, landing: arb_mat) -> arb_mat:
-        """What hops without end, from h = e |gap'| on, add to a state that sticks and its derivatives (7, .).
+        """The change of a sticking state and its derivatives (7, .) by the endless hops from h = e |gap'| on.
 
-        In Q = q + gap and u = q' + gap', which no hop changes, they are Q' = u, u' = c - 1 - b u - w Q +
-        (b gap' + w gap): a stuck spring but for a forcing. They take no longer than `time`: under forces from
-        `least` to its 9/8 a hop takes 2 h/least at most, the next begins with e h (1 + (1 - e)/4) at most.
-        They add the forcing's integral, carried back to the landing; by parts, that of the gap, at most
-        h**2/(2 least), with a factor below 2 rates**2. Its derivatives by h, by the instants of landings and
-        by the state are of the order h/least: over all hops their sums are geometric too.
+        No hop changes Q = q + gap and u = q' + gap'. They follow Q' = u, u' = c - 1 - b u - w Q + (b gap' +
+        w gap): a stuck spring with a forcing. The hops take no longer than `time`: under forces from `least`
+        to 9/8 of it a hop takes at most 2 h/least, and the next begins with at most e h (1 + (1 - e)/4). They
+        add the integral of the forcing, carried back to the landing. By parts it is that of the gap, at most
+        h**2/(2 least), times a factor below 2 rates**2. Its derivatives by h, by the instants of landings and
+        by the state are of the order h/least; their sums over all hops are geometric, too.
         """
         e, rates, after = self._e, 1 + self.b + self.w, self._segment("c", "h").reset * landing
         h = (e * abs(landing[GAP1, 0])).upper()
@@ -207,7 +217,10 @@ class Cycles:
         return arb_mat(7, 1, [0, 0, 1, 1, 0, 0, 0]) * more
 
     def stable(self, box: Sequence[arb], says: str) -> Proven:
-        """What is said of the cycle in a box, if it is admissible and a power of its tangent contracts."""
+        """Prove that the cycle in a box is admissible and stable, and so that `says` holds.
+
+        Raises `NotProvenError`.
+        """
         self.check_admissible(box)
         tangent = self._tangent(box)
         if not any(sum(map(abs, (tangent**2**n).entries())) < 1 for n in range(50)):
@@ -216,15 +229,15 @@ class Cycles:
         return Proven(says, amplitude(box), list(compress(box[START:], flies)))
 
     def check_admissible(self, box: Sequence[arb]) -> None:
-        """Prove that every segment of the cycles in a box ends where it says, and not before."""
+        """Prove that no segment of the cycles in a box ends early. Raises `NotProvenError`."""
         starts = self._round(box)[1]
         for i, (segment, start, t) in enumerate(zip(self._segments, starts, box[START:], strict=True)):
             for conditions in segment.conditions:
                 balls.check_positive(segment.motion, conditions, start, t, f"segment {i} ({segment.letter})")
 
     def _tangent(self, box: Sequence[arb]) -> arb_mat:
-        """The derivative (4, 4) of the return by (gap', q, q', phase): events make durations functions."""
-        # enclosed as a whole: carried from hop to hop, balls would grow in each
+        """The derivative (4, 4) of the return by (gap', q, q', phase); the events determine the durations."""
+        # enclosed as a whole: balls carried from hop to hop would grow in each
         rows, n, (c, s) = self._round(box)[0], len(self._segments), box[COS - 1 : START]
         turn = arb_mat([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, -s], [0, 0, 0, c]])
         by_start = arb_mat([row[1 : 1 + START] for row in rows]) * turn

@@ -153,7 +153,7 @@ class BounceAccessor:
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
             pictures.draw_diagram(ax, dataset)
             fixed = [axis for axis in pictures.AXES if axis != pictures.along_of(dataset)]
-            ax.set_title(", ".join(f"{pictures.SYMBOLS[axis]} = {dataset[axis].item():g}" for axis in fixed))
+            ax.set_title(pictures.values_at(dataset, fixed))
             if branches is not None:
                 pictures.draw_branches(ax, branches)
             if data is not None:

@@ -1,7 +1,7 @@
-"""Sweeps within a time, at a service: a thread computes their levels as jobs and has the last one audited.
+"""Sweeps within a time at a service: a thread computes their levels as jobs and has the last level audited.
 
-Levels are plain jobs. When the service stops, a budget ends with those that are done; one that was not yet
-done continues as any job does.
+Levels are plain jobs. A budget ends when the service stops; an unfinished level continues at the next start,
+like any job.
 """
 
 import logging
@@ -22,14 +22,14 @@ from worker.sweep.levels import Steps
 
 log = logging.getLogger(__name__)
 
-#: Budgets that go on at a time, and those that are remembered.
+#: Limits on the budgets that go on at a time, and on those that are remembered.
 MOST, KEPT = 8, 64
-#: Two budgets of a sweep that end within these seconds are one request, repeated.
+#: Two budgets of a sweep that end within this many seconds come from one request, repeated.
 SAME_SECONDS: Final = 1.0
-#: Seconds between two looks at a level.
+#: Seconds between two checks of a level.
 LOOK_SECONDS: Final = 0.05
 
-#: What the audit of a job says; None if it has not ended within so many seconds.
+#: The sentence of a job's audit; None if it takes longer than this many seconds.
 Audit = Callable[[JobRecord, float], str | None]
 
 
@@ -41,10 +41,10 @@ class Budgets:
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._budgets: list[Budget] = []  # the last begun first
-        self.own = set[str]()  # jobs that nobody else asked for: the others are not cancelled
+        self._own = set[str]()  # jobs that only budgets asked for
 
     def begin(self, spec: Any, seconds: float, owner: str | None) -> JobRecord:
-        """The job of the first level; a request that is repeated joins the budget that it began.
+        """Begin a budget, and return the job of its first level. A repeated request joins its budget.
 
         Raises SpecInvalid, Busy, and as `JobManager.submit`.
         """
@@ -52,39 +52,46 @@ class Budgets:
         self.manager.check(spec)
         ends = time.monotonic() + seconds
         with self._lock:
-            alike = [budget for budget in self._budgets if budget.spec == spec]
-            budget = next(
-                (one for one in alike if not one.over and abs(one.ends - ends) < SAME_SECONDS), None
-            )
+            same = [budget for budget in self._budgets if budget.spec == spec]
+            repeated = (old for old in same if not old.over and abs(old.ends - ends) < SAME_SECONDS)
+            budget = next(repeated, None)
             if budget is None:
                 going = [budget for budget in self._budgets if not budget.over]
                 if len(going) >= MOST:
                     raise Busy(f"{MOST} budgets go on already, which is the limit")
-                known = next((one.steps for one in alike if one.answer), None)
+                known = next((old.steps for old in same if old.answer), None)
                 budget = Budget(self, spec, seconds, owner, known)
                 over = [budget for budget in self._budgets if budget.over]
                 self._budgets = [budget, *going, *over][:KEPT]
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
         return budget.first.result()
 
+    def own(self, job_id: str) -> None:
+        """Note that a budget began a job: it may be cancelled when the time is over."""
+        self._own.add(job_id)
+
+    def disown(self, job_id: str) -> None:
+        """Note that somebody asked for a job itself: no budget cancels it."""
+        self._own.discard(job_id)
+
     def may_cancel(self, job_id: str) -> bool:
-        """Whether a job is of one budget alone."""
+        """Whether only one budget needs a job."""
         with self._lock:
             users = [budget for budget in self._budgets if budget.computing == job_id]
-        return job_id in self.own and len(users) <= 1
+        return job_id in self._own and len(users) <= 1
 
     def of(self, job_id: str) -> "Budget | None":
-        """The last budget that a job is a level of."""
+        """The newest budget with this job as a level."""
         with self._lock:
             return next((budget for budget in self._budgets if job_id in budget.levels), None)
 
     def close(self) -> None:
-        """Begin no other level."""
+        """Begin no further level."""
         self.stopping.set()
 
 
 class Budget:
-    """A sweep within a time, and how far it is. Its thread computes levels: a `service.budget.Runner`."""
+    """A sweep within a time, and its progress. In its own thread it is a `service.budget.Runner`."""
 
     def __init__(
         self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None, known: Steps | None
@@ -94,17 +101,17 @@ class Budget:
         self._seconds, self.ends = seconds, time.monotonic() + seconds
         self.steps = known  # of the finest level that is done
         self.first: Future[JobRecord] = Future()
-        self.levels: tuple[str, ...] = ()  # their jobs
-        self.doing = ""  # in words
-        self._why = ""  # no finer level came, if another reason than the time
-        self.computing: str | None = None  # the job of the level that is computed
-        self.answer: str | None = None  # the job of the finest level that is done
+        self.levels: tuple[str, ...] = ()  # ids of their jobs
+        self.doing = ""  # the present step, in words
+        self._why = ""  # why no finer level came, unless time ran out
+        self.computing: str | None = None  # id of the job of the present level
+        self.answer: str | None = None  # id of the job of the finest level that is done
         self.error: str | None = None
         self.over = False
 
     @property
     def seconds_left(self) -> int:
-        """Of its time."""
+        """Seconds until the time is over."""
         return 0 if self.over else max(round(self.ends - time.monotonic()), 0)
 
     def run(self) -> None:
@@ -113,10 +120,10 @@ class Budget:
         try:
             answer = within(self.spec, self._seconds, self, self._show, began=began, known=self.steps)
             self.steps = answer.levels[-1].steps
-        except Exception as error:  # the request, or who looks at the first level, gets it
-            known = isinstance(error, SpecError | ServiceError)
-            text = str(error) if known else "it could not go on; the log says why"
-            if not known:
+        except Exception as error:  # shown by the request, or with the first level
+            text = str(error)
+            if not isinstance(error, SpecError | ServiceError):
+                text = "it could not go on; the log says why"
                 log.exception("a budget ends")
             if self.answer is None:
                 self.error = text
@@ -132,13 +139,13 @@ class Budget:
         deadline = time.monotonic() + seconds
         try:
             job, accepted = self._budgets.manager.submit(spec, owner=self._owner)
-        except (SpecError, ServiceError):  # a full queue, a limit of the service
+        except (SpecError, ServiceError):  # such as a full queue
             if self.answer is None:
                 raise
             return False
         self.levels, self.computing = (*self.levels, job.id), job.id
         if accepted:
-            self._budgets.own.add(job.id)
+            self._budgets.own(job.id)
         if not self.first.done():
             self.first.set_result(job)
         record = self._ended(job, deadline)
@@ -159,12 +166,12 @@ class Budget:
         return None if job is None else self._budgets.audit(job, seconds)
 
     def _ended(self, job: JobRecord, deadline: float) -> JobRecord | None:
-        """A job that has ended; None at the deadline, and if the service stops."""
-        found: JobRecord | None = job
-        while found is not None and found.state in UNFINISHED:
+        """The job once it has ended; None at the deadline, or if the service stops. Raises RunFailed."""
+        record: JobRecord | None = job
+        while record is not None and record.state in UNFINISHED:
             if time.monotonic() > deadline or self._budgets.stopping.wait(LOOK_SECONDS):
                 return None
-            found = self._budgets.ledger.find(job.id)
-        if found is None:
+            record = self._budgets.ledger.find(job.id)
+        if record is None:
             raise RunFailed("a level was deleted")
-        return found
+        return record

@@ -1,4 +1,4 @@
-"""Jobs as users change them: submit, cancel, resume, delete. Changes the ledger and wakes the supervisor."""
+"""The operations of users on jobs. They change the ledger and wake the supervisor."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ STOP_SECONDS: Final = 4.0
 
 
 class Submission(NamedTuple):
-    """The job of a submitted sweep; `accepted`: the submission made or resumed work."""
+    """The job of a submitted study; `accepted`: whether the submission created or resumed it."""
 
     job: JobRecord
     accepted: bool
@@ -45,7 +45,7 @@ class JobManager:
         self.supervisor = Supervisor(ledger, executor, settings, self.preparer)
 
     def compiling(self, job: JobRecord) -> Compiling | None:
-        """The kernel that a worker compiles for a job before its first chunk. Does not block."""
+        """The kernel that a worker compiles for a job at present, or None. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
         return self._executor.compiling(self._settings.store_of(job.store))
@@ -53,10 +53,10 @@ class JobManager:
     def start(self) -> None:
         """Continue every job that was queued or running when the service last stopped.
 
-        Jobs begun by another kernel version end and are replaced by jobs that compute them anew.
+        Jobs of another kernel version end, and new jobs compute their studies anew.
         """
         self._replace_outdated()
-        with suppress(LedgerUnavailable):  # the first request is refused too
+        with suppress(LedgerUnavailable):  # then the first request is refused
             self._ledger.check()
         self.supervisor.start()
 
@@ -65,7 +65,7 @@ class JobManager:
         self.supervisor.stop(STOP_SECONDS)
 
     def fault(self) -> str | None:
-        """Why jobs are not accepted or computed, as of the last sync; None if they are."""
+        """Why jobs are not accepted or computed, as of the last sync; None if nothing is wrong."""
         return self._ledger.fault() or self.supervisor.cluster.fault
 
     def notices(self) -> list[str]:
@@ -93,9 +93,9 @@ class JobManager:
     ) -> Submission:
         """Accept a study, or return its existing job; a failed or cancelled one is resumed.
 
-        `key`: an idempotency key; a repeated request with the same key changes nothing, whatever happened to
-        the job since. `owner`: the name of the caller's access token, if it has one. `replaces`: an outdated
-        job of the same study. Raises SpecTooLarge, KeyReused, and QueueFull if `limited`.
+        key: an idempotency key; a repeated request with the same key changes nothing, whatever has happened
+        to the job. owner: name of the caller's access token, if it has one. replaces: an outdated job of the
+        same study. Raises SpecTooLarge, KeyReused, and QueueFull if `limited`.
         """
         plan = self.check(spec)
         job = new_job(spec, plan, owner)
@@ -114,7 +114,7 @@ class JobManager:
         return Submission(record, accepted)
 
     def check(self, spec: Any) -> Plan:
-        """The plan of a study. Raises SpecTooLarge if it would not be accepted."""
+        """The plan of a study. Raises SpecTooLarge if the study would be refused."""
         plan, limits = self.preparer.plan(spec), self._settings
         check_size(
             study_of(spec).estimate(spec, plan),
@@ -125,7 +125,7 @@ class JobManager:
         return plan
 
     def is_done(self, spec: Any) -> bool:
-        """Whether the results of a study are there."""
+        """Whether the study's job is done."""
         job = self._ledger.find(spec.job_id(KERNEL_VERSION))
         return job is not None and job.state is JobState.DONE
 
@@ -143,11 +143,11 @@ class JobManager:
         return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
 
     def workers(self) -> int:
-        """The number of tasks that run at once; may be a second old."""
+        """The number of tasks that can run at once; may be a second old."""
         return self._executor.workers()
 
     def cancel(self, job_id: str) -> JobRecord:
-        """Stop a job: at once if it is queued, else as soon as workers have stopped writing.
+        """Stop a job: a queued one at once, a running one as soon as workers have stopped writing.
 
         Cancelling a cancelled job changes nothing. Raises UnknownJob, and IllegalTransition if the job is
         done or failed.
@@ -168,9 +168,9 @@ class JobManager:
     def resume(self, job_id: str, owner: str | None = None) -> Submission:
         """Continue a failed or cancelled job where it stopped; an unfinished one stays as it is.
 
-        A job of another kernel version starts anew as another job, which is returned.
-        Raises UnknownJob, QueueFull, and IllegalTransition if the job is done; for a new job also
-        as `submit`, and SpecError if this release does not accept its specification.
+        A job of another kernel version starts anew as another job, which is returned. Raises UnknownJob,
+        QueueFull, and IllegalTransition if the job is done; for a new job also as `submit`, and SpecError if
+        this release refuses the specification.
         """
         with self._ledger.reading() as reading:
             job = _existing(reading, job_id)
@@ -199,7 +199,7 @@ class JobManager:
             return _existing(ledger, job_id)
 
     def delete(self, job_id: str) -> None:
-        """Remove a job; its results are removed in the background, if necessary after the next start.
+        """Remove a job; its results are removed in the background, at the latest after the next start.
 
         Raises UnknownJob, and IllegalTransition while workers may write: cancel the job first.
         """
@@ -213,7 +213,7 @@ class JobManager:
         self.supervisor.wake()
 
     def _replace_outdated(self) -> None:
-        """End the unfinished jobs of other kernel versions; accept their studies anew unless cancelled."""
+        """End the unfinished jobs of other kernel versions. Accept their studies anew unless cancelled."""
         with self._ledger.reading() as reading:
             outdated = reading.outdated_unfinished()
         for job in outdated:
@@ -273,5 +273,5 @@ def _existing(ledger: ReadTransaction, job_id: str) -> JobRecord:
 
 
 def _fingerprint(job: NewJob) -> str:
-    """Digest of a submission, its name included, independent of the JSON's layout."""
+    """Digest of a submission with its name, independent of the layout of its JSON."""
     return hashlib.sha256(job.spec.encode()).hexdigest()

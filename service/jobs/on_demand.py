@@ -1,8 +1,8 @@
 """Results that workers compute while a request waits, kept for later requests.
 
-A request that waits longer than a short time-out raises Pending, which the API answers with 202; the work
-continues, and a later request gets it. It stops when every client that asked for it has left during a
-request, or has not asked for ABANDONED_SECONDS.
+A request that waits longer than a short time-out raises Pending, which the API answers with 202. The work
+continues, and a later request gets the result. The work stops when every client has left during a request or
+has not asked for ABANDONED_SECONDS.
 """
 
 import threading
@@ -19,19 +19,19 @@ from service.background import asker
 from service.errors import Busy, NotComputed
 from worker.executors.base import Executor, ExecutorError
 
-#: Number of results kept, the last requested.
+#: Limit on the results kept; the least recently requested ones are dropped.
 MAX_RESULTS: Final = 64
-#: Results computed at a time.
+#: Limit on the results computed at a time.
 MAX_PENDING: Final = 4
-#: Seconds without a request after which a client does not count: longer than the minute between two requests
+#: Seconds without a request after which a client no longer counts: more than the minute between two requests
 #: of a page in a hidden tab.
 ABANDONED_SECONDS: Final = 75.0
 
 #: Long-run share of the workers' time for calls while chunks of jobs are computed.
 SHARE: Final = 1 / 16
-#: Core-seconds of calls computed beside jobs before the share applies.
+#: Core-seconds of calls that may be computed beside jobs before the share applies.
 CREDIT_SECONDS: Final = 5.0
-#: Seconds between two checks for clients that have not asked lately, and for calls whose turn has come.
+#: Seconds between two checks for abandoned results, and for calls whose turn has come.
 LOOK_SECONDS: Final = 0.2
 
 
@@ -45,10 +45,10 @@ class Pending(Exception):
 
 @dataclass
 class _Result:
-    """The parts of a result, and when each client, by its connection, last asked for them."""
+    """The parts of a result, and the clients that ask for it."""
 
     parts: Sequence["Future[Any]"]
-    askers: dict[object, float]
+    askers: dict[object, float]  # time of the last request, by connection
 
     @property
     def done(self) -> bool:
@@ -63,13 +63,13 @@ class _Result:
 class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
-    `max_pending`: results that may be computed at a time; `timeout`: seconds that a request waits;
-    `jobs_compute`: the number of jobs' chunks in flight; `abandoned`: seconds without a request after which
-    a client does not count.
+    max_pending: limit on the results computed at a time. timeout: seconds that a request waits. jobs_compute:
+    returns the number of jobs' chunks in flight. abandoned: seconds without a request after which a client no
+    longer counts.
 
     At most half of the workers, at least one, compute calls, which an executor begins before the chunks of
-    jobs. Beside jobs calls use up a credit of CREDIT_SECONDS, which grows by SHARE of the workers' time;
-    without credit the next one waits. Otherwise endless calls would keep half of the workers.
+    jobs. Beside jobs, calls use up a credit of CREDIT_SECONDS, which grows by SHARE of the workers' time.
+    Without credit the next call waits: otherwise endless calls would keep half of the workers.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class OnDemandCache:
         self._closed = False
 
     def get(self, key: Hashable, calls: Sequence[Sequence[Any]]) -> list[Any]:
-        """The results of functions with their arguments; calls them if none are kept under `key`.
+        """The results of `calls`, functions with their arguments, which are kept under `key`.
 
-        Raises Pending after the time-out, Busy if too many results are being computed, NotComputed if there
-        are no workers or they were lost, and the errors of the work itself.
+        Raises Pending after the time-out, Busy if too many results are being computed, NotComputed if no
+        worker could compute them, and the errors of the calls.
         """
         client = asker()
         self._workers = self._executor.workers()
@@ -108,7 +108,7 @@ class OnDemandCache:
             return [part.result() for part in result.parts]
         except BaseException as error:
             with self._lock:
-                if self._results.get(key) is result:  # no other request has restarted it
+                if self._results.get(key) is result:  # not restarted by another request
                     del self._results[key]
             if isinstance(error, ExecutorError | CancelledError):
                 raise NotComputed(f"no worker has computed it ({error}): repeat the request") from error
@@ -123,7 +123,7 @@ class OnDemandCache:
             result.cancel()
 
     def _asked(self, key: Hashable, connection: object, calls: Sequence[Sequence[Any]]) -> _Result:
-        """The result, new if none is kept, with the client among those who ask for it."""
+        """The result, a new one if none is kept, with the client among its askers. Raises Busy."""
         with self._lock:
             if key not in self._results:
                 if sum(not result.done for result in self._results.values()) >= self._max_pending:
@@ -158,7 +158,7 @@ class OnDemandCache:
         with self._lock:
             self._look = None
             for result in self._results.values():
-                result.askers = {one: asked for one, asked in result.askers.items() if asked >= until}
+                result.askers = {who: asked for who, asked in result.askers.items() if asked >= until}
             if not all(result.done for result in self._results.values()):
                 self._look_later()
         self._withdraw()
@@ -169,11 +169,11 @@ class OnDemandCache:
         with self._lock:
             unwanted = [key for key, result in self._results.items() if not (result.askers or result.done)]
             withdrawn = [self._results.pop(key) for key in unwanted]
-        for result in withdrawn:  # outside of the lock: callbacks of futures may begin other calls
+        for result in withdrawn:  # without the lock: callbacks of futures may begin other calls
             result.cancel()
 
     def _start(self) -> None:
-        """Begin the calls whose turn it is."""
+        """Begin the calls whose turn has come."""
         while (part := self._next()) is not None:
             future, call = part
             began = time.monotonic()
@@ -188,7 +188,7 @@ class OnDemandCache:
             computed.add_done_callback(partial(self._on_computed, future, began))
 
     def _next(self) -> "tuple[Future[Any], Sequence[Any]] | None":
-        """A part and its call, if one may begin."""
+        """The next part and its call; None if none may begin."""
         with self._lock:
             while self._waiting and self._waiting[0][0].cancelled():
                 self._waiting.popleft()
@@ -207,7 +207,7 @@ class OnDemandCache:
         self._start()
 
     def _end(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
-        """End a part as its call has ended."""
+        """End a part with the result or the error of its call."""
         with self._lock:
             self._running -= 1
             if self._jobs_compute():

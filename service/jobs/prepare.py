@@ -1,4 +1,4 @@
-"""A job prepared to run or to be read: specification parsed, model chosen, plan made once; a study's cost."""
+"""Prepares jobs: parses the specification, chooses the model and makes the plan, once. Estimates costs."""
 
 import json
 import logging
@@ -24,28 +24,28 @@ from worker.sweep.specification import is_open
 
 log = logging.getLogger(__name__)
 
-#: Prepared jobs kept, the last used, and the maximum characters of their specifications together.
+#: Limits on the prepared jobs kept, and on the characters of their specifications together.
 MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
 
-#: Minimum core-seconds that measure a contact model: in less, starting up dominates.
+#: Core-seconds from which on jobs measure the speed of a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
 
-#: Workers that may die while choosing one model before the job fails.
+#: Workers that may die while they choose a model before the job fails.
 MAX_DEATHS: Final = 3
 
 
 @dataclass(frozen=True)
 class PreparedJob:
-    """A job's specification and plan, and the location of its results."""
+    """A job's specification and plan, and the address of its results."""
 
     job_id: str
-    submitted: Any  # the study's specification: the job's identity, recorded in the store
+    submitted: Any  # the specification as submitted: the job's identity, recorded in the store
     spec: Any  # `submitted` with the chosen model in place of `auto`
     plan: Plan
     store_url: str
-    attributes: Mapping[str, Any]  # of the store: the chosen model, the same for the same sweep
-    outdated: bool = False  # computed by another kernel version, whose store may differ
+    attributes: Mapping[str, Any]  # of the store, beside the layout's: the chosen model
+    outdated: bool = False  # another kernel version computed it, whose store may differ
 
     @property
     def study(self) -> Study:
@@ -58,20 +58,20 @@ class PreparedJob:
         today = self.study.variables(self.submitted, self.plan.chunk_shape)
         if not self.outdated:
             return today
-        try:  # without variables added since: their absence is no damage
-            there = store.stored_forms(self.store_url, None)
+        try:  # variables added since are not there, which is no damage
+            stored = store.stored_forms(self.store_url, None)
         except store.StoreError:
             return today
-        return replace(today, arrays=tuple(array for array in today.arrays if array.name in there))
+        return replace(today, arrays=tuple(array for array in today.arrays if array.name in stored))
 
     @cached_property
     def forms(self) -> Sequence[Mapping[str, store.ArrayForm]] | None:
-        """The forms of the arrays; None for an outdated job, whose store alone knows."""
+        """The forms of the arrays; None for an outdated job, whose forms only the store knows."""
         return None if self.outdated else store.forms_in(self.layout)
 
     @cached_property
     def metadata(self) -> Sequence[Mapping[str, bytes]] | None:
-        """Metadata and coordinates that the store may have, by key; None for an outdated job."""
+        """The metadata and coordinates that the store may have, by key; None for an outdated job."""
         if self.outdated:
             return None
         return [store.metadata_of(cut, self.attributes) for cut in self.layout.cuts]
@@ -82,10 +82,10 @@ class PreparedJob:
         return self.study.estimate(self.spec, self.plan)
 
     def read_file(self, key: str, *, complete: bool = False, begun: bool = False) -> bytes | None:
-        """The store's bytes under a key, if they are what the job stores there; None without any.
+        """The checked bytes of a file of the store; None if it has none, or if the layout allows none.
 
-        A missing file is damage if `complete`: everything was written; or, of metadata and coordinates, if
-        `begun`: a chunk was. Raises StoreDamaged.
+        complete: whether everything was written, so that a missing file is damage. begun: whether a chunk
+        was, so that missing metadata are. Raises StoreDamaged.
         """
         begun |= complete
         if not self.layout.has_key(key):
@@ -138,11 +138,11 @@ class JobPreparer:
         return plan
 
     def prepare(self, job: JobRecord) -> PreparedJob:
-        """The job, prepared; again after it was accepted again or its model was chosen.
+        """The prepared job, from the cache unless it was accepted again or its model was chosen since.
 
-        Raises LedgerUnusable for a specification that is not the job's, or that this version does not accept.
+        Raises LedgerUnusable for a specification that is not the job's, or that this release refuses.
         """
-        # `seq` tells a job from a deleted one with the same id; the others change with the model of `auto`.
+        # `seq` distinguishes a job from a deleted one with its id; the others change with the chosen model
         key = job.id, job.seq, job.chunk_shape, job.choice
         with self._lock:  # held while preparing, so that simultaneous requests prepare a job once
             if key not in self._jobs:
@@ -177,18 +177,18 @@ class JobPreparer:
     def cost(self, spec: Any, plan: Plan, measured: Sequence[JobRecord]) -> Cost:
         """The cost of a study before it is computed.
 
-        Core-seconds come from the speed of those of the `measured` jobs that have the same contact model,
-        relative to the cost table, or from the table alone if there are none.
+        Core-seconds come from the cost table, scaled by the speed of the `measured` jobs with the same
+        contact model, if there are any.
         """
         by_table: Cost = study_of(spec).estimate(spec, plan)
         taken = expected = 0.0
         for job in measured:
             try:
                 other = self.prepare(job)
-            except LedgerUnusable:  # an older version accepted it
+            except LedgerUnusable:  # accepted by an older release
                 continue
             other_table = other.study.estimate(other.submitted, other.plan)
-            # Where done cells are not all computed, they do not show the speed.
+            # done cells that were filled in do not show the speed
             if _kind(other.submitted) == _kind(spec) and other_table.computed_cells is None:
                 taken += job.core_seconds
                 expected += job.cells_timed * other_table.core_seconds / other_table.cells
@@ -203,12 +203,12 @@ class JobPreparer:
 
 
 def _kind(spec: Any) -> tuple[type, str | None]:
-    """The kinds with separate speeds: a kind of specification, and its contact model if it has one."""
+    """Jobs with the same kind share a speed: the kind of specification, and of its contact model."""
     return type(spec), getattr(getattr(spec, "model", None), "kind", None)
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
-    """The model chosen for a job; None if it names its model, and until the choice is made."""
+    """The model chosen for a job; None before the choice, and for a job that names its model."""
     try:
         return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
     except ValueError as error:
@@ -216,9 +216,9 @@ def choice_of(job: JobRecord) -> ModelChoice | None:
 
 
 class ModelChoices:
-    """Has workers choose the models of `auto` sweeps, before a job's first chunk.
+    """Has workers choose the models of `auto` sweeps before a job's first chunk.
 
-    Calls `on_chosen` after each choice. Used by the supervisor's thread.
+    Calls `on_chosen` after each choice. Used only by the supervisor's thread.
     """
 
     def __init__(
@@ -233,7 +233,7 @@ class ModelChoices:
         return len(self._choosing)
 
     def keep(self, job_ids: set[str]) -> None:
-        """Forget the choices of all other jobs, which were cancelled or deleted meanwhile."""
+        """Forget the choices of all other jobs: they were cancelled or deleted."""
         for job_id in self._choosing.keys() - job_ids:
             self._choosing.pop(job_id).cancel()
         self._deaths = Counter({job_id: n for job_id, n in self._deaths.items() if job_id in job_ids})

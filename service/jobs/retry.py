@@ -1,4 +1,4 @@
-"""What to do with a chunk that came back without a report. The only module that classifies errors."""
+"""Decides about chunks that came back without a report. The only module that classifies errors."""
 
 import errno
 from collections.abc import Mapping
@@ -12,18 +12,18 @@ from worker.executors.base import ClusterLost, WorkerLeft, WorkerLost, WorkerRef
 from worker.store import StoreDamaged
 from worker.study import ChunkCancelled, ChunkPaused, PredecessorMissing
 
-#: A worker's death often affects innocent chunks. After this many such losses a chunk is itself suspect, and
+#: A worker's death often hits innocent chunks. After this many such losses a chunk is suspect itself, and
 #: each further loss counts as a failed try.
 MAX_COLLATERAL_LOSSES: Final = 10
 
-#: Operating-system errors that would affect every chunk of the job: disk full, quota used up, file size
-#: limit, a link in its store; and a read-only file system, if the chunk met it at its last try too.
+#: Operating-system errors that would hit every chunk of the job: disk full, quota used up, file size limit, a
+#: link in its store; and at the last try also a read-only file system.
 FATAL_ERRNOS: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ELOOP})
 FATAL_AT_LAST: Final = FATAL_ERRNOS | {errno.EROFS}
 
 
 class Action(Enum):
-    """What the supervisor does with the chunk."""
+    """The action of the supervisor on the chunk."""
 
     REQUEUE = "requeue"  # nothing is counted
     CONTINUE = "continue"  # requeue before the job's other chunks; nothing is counted
@@ -37,7 +37,7 @@ class Action(Enum):
 #: The actions that record a failed try.
 FAILED_TRIES: Final = frozenset({Action.RETRY, Action.GIVE_UP, Action.FATAL})
 
-#: Why a chunk comes back through no fault of its own, and the action.
+#: Errors that are no fault of the chunk, and the action.
 UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
     ChunkCancelled: Action.REQUEUE,
     CancelledError: Action.REQUEUE,
@@ -50,7 +50,7 @@ UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
 
 
 class Decision(NamedTuple):
-    """What to do with a chunk that came back without a report."""
+    """The policy's decision on a chunk that came back without a report."""
 
     action: Action
     recompute_predecessor: bool = False  # its stored end states are missing or damaged
@@ -59,9 +59,9 @@ class Decision(NamedTuple):
 class History(NamedTuple):
     """The history of a chunk and its job before the error."""
 
-    tries: int = 0  # failed ones of this chunk
+    tries: int = 0  # failed tries of this chunk
     collateral_losses: int = 0  # of this chunk
-    has_predecessor: bool = False  # it continues a ramp
+    has_predecessor: bool = False  # the chunk continues a ramp
     stopping: bool = False  # the job is being cancelled
     fatal: bool = False  # another chunk of the job met a fatal error
 
@@ -70,11 +70,11 @@ class History(NamedTuple):
 class RetryPolicy:
     """Decides after an error whether a chunk is tried again, and when a job stops trying."""
 
-    chunk_tries: int  # for a chunk that fails, or whose worker dies of it
-    failed_chunks: int  # after this many a job submits no more
+    chunk_tries: int  # limit on tries of a chunk that fails, or whose worker dies
+    failed_chunks: int  # failed chunks after which a job submits no more
 
     def decide(self, error: BaseException, history: History) -> Decision:
-        """What to do after `error` with a chunk of this history."""
+        """Decide about a chunk with this history after `error`."""
         for kind, action in UNCOUNTED.items():
             if isinstance(error, kind):
                 return Decision(action)
@@ -83,7 +83,7 @@ class RetryPolicy:
                 return Decision(Action.COLLATERAL)
             return Decision(self._after_failed_try(error, history))
         if history.stopping:
-            return Decision(Action.REQUEUE)  # it will not be tried unless the job is resumed
+            return Decision(Action.REQUEUE)  # not tried again unless the job is resumed
         damaged = history.has_predecessor and isinstance(error, StoreDamaged | PredecessorMissing)
         return Decision(self._after_failed_try(error, history), recompute_predecessor=damaged)
 

@@ -1,4 +1,4 @@
-"""A running job: chunks ready and in flight, reports to record, tries; and metrics of the chunks of all jobs.
+"""A running job in memory: its queue, chunks in flight, unsaved reports and tries; and metrics of chunks.
 
 Knows neither ledger nor store.
 """
@@ -20,10 +20,10 @@ from service.ledger.model import Failure, JobRecord, JobState
 from worker.executors.base import ExecutorError, ReportMismatch
 from worker.study import ChunkReport, Plan
 
-#: Maximum characters of a traceback kept, from its end.
+#: Characters of a traceback that are kept, from its end.
 MAX_TRACEBACK: Final = 8_000
 
-#: The last steps of a ramp, in chunks, by which the next ones are judged.
+#: Number of the last steps of a ramp, in chunks, from which the time of the next ones is estimated.
 RECENT: Final = 3
 
 #: Bucket limits for the seconds of chunks.
@@ -31,7 +31,7 @@ BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.
 
 
 def scattered(count: int) -> NDArray[np.int64]:
-    """The numbers below `count`, in the order of their bits reversed: a map fills from coarse to fine."""
+    """The numbers below `count`, ordered by their reversed bits: so a map fills from coarse to fine."""
     numbers, place = np.arange(count), np.zeros(count, np.int64)
     for bit in range(count.bit_length()):
         place = 2 * place + ((numbers >> bit) & 1)
@@ -41,7 +41,7 @@ def scattered(count: int) -> NDArray[np.int64]:
 class ReadyQueue:
     """The chunks of one job that are not done, in an order in which they can be computed; a few bytes each.
 
-    `lines`: chunk i depends on chunk i - lines, if there is one. `done`: (n,) which chunks are done.
+    lines: chunk i depends on chunk i - lines, if there is one. done (n,): which chunks are done.
     """
 
     def __init__(self, lines: int, done: NDArray[np.bool_]) -> None:
@@ -49,7 +49,7 @@ class ReadyQueue:
         ready = np.concatenate([np.ones(min(lines, len(done)), np.bool_), done[:-lines]])
         initial = np.flatnonzero(ready & ~done)
         self._initial = initial[scattered(len(initial))]  # ready from the start
-        self._initial_popped = 0  # how many of them are popped
+        self._initial_popped = 0  # number of these that were popped
         self._first: deque[int] = deque()  # requeued chunks that come before all others
         self._later: deque[int] = deque()  # ready since then: successors and requeued chunks
         self._popped: set[int] = set()  # neither requeued nor complete
@@ -61,9 +61,9 @@ class ReadyQueue:
         return len(self._initial) - self._initial_popped + len(self._first) + len(self._later)
 
     def pop(self) -> int:
-        """A chunk that can be computed now; raises IndexError if none is ready.
+        """Take a chunk that can be computed now. Raises IndexError if none is ready.
 
-        All chains of a ramp advance together: a long one left to the end would occupy a single worker.
+        All lines of a ramp advance together: a long one left to the end would occupy a single worker.
         """
         if self._first:
             chunk = self._first.popleft()
@@ -111,26 +111,26 @@ class ReadyQueue:
 
 
 class ChunkTimes:
-    """What the chunks of a run took, and the time that is left."""
+    """The seconds that chunks of a run took, and an estimate of the seconds left."""
 
     def __init__(self, plan: Plan) -> None:
         self._turns = plan.ramp is not None and len(plan.directions) == 2
         self._took = np.full((len(plan) // plan.lines, plan.lines), np.nan)  # s, of reported chunks
-        self._began: float | None = None  # when the first ones were reported: before them kernels compile
-        self._before = 0.0  # s that those took
+        self._began: float | None = None  # time of the first reports; before, kernels compile
+        self._before = 0.0  # s that the chunks of the first reports took
 
     def note(self, reports: Sequence[ChunkReport], now: float) -> None:
-        """Note what chunks took."""
+        """Note the seconds that reported chunks took."""
         for report in reports:
             self._took.flat[report.index] = report.seconds
         if self._began is None and reports:
             self._began, self._before = now, float(np.nansum(self._took))
 
     def left(self, to_come: NDArray[np.bool_], now: float) -> float | None:
-        """Seconds that the chunks `to_come` (chunks,) will take at the rate until now; None without a rate.
+        """Seconds that the chunks `to_come` (chunks,) will take at the present rate; None without a rate.
 
-        On its way back a ramp takes as long as it did on its way there. All else takes as long as the newest
-        chunks: on a ramp those of the last RECENT steps, without one all.
+        A chunk on the way back of a ramp is expected to take as long as on the way there. Any other is
+        expected to take as long as the newest chunks: on a ramp those of the last RECENT steps, else all.
         """
         took = self._took
         if self._began is None:
@@ -138,7 +138,7 @@ class ChunkTimes:
         newest = np.flatnonzero(~np.isnan(took).all(axis=1))[-1]
         recent = np.nanmean(took[max(newest + 1 - RECENT, 0) : newest + 1])
         counted = np.nansum(took) - self._before
-        if counted < recent or counted == 0.0:  # a small chunk tells little of what is done beside it
+        if counted < recent or counted == 0.0:  # one small chunk says little about those beside it
             return None
         expected = np.where(np.isnan(took), took[::-1], took) if self._turns else took.copy()
         expected[np.isnan(expected)] = recent
@@ -148,7 +148,7 @@ class ChunkTimes:
 class JobRun:
     """The state of a running job; used only by the supervisor's thread.
 
-    `done`: (chunks,) which chunks the ledger has marked. `paused`: chunks with a checkpoint.
+    done (chunks,): which chunks the ledger has marked. paused: chunks with a checkpoint.
     """
 
     def __init__(
@@ -164,8 +164,8 @@ class JobRun:
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
         self.in_flight: dict[int, Future[ChunkReport]] = {}
-        self.turns: dict[int, float] = {}  # chunks in flight as the job's turn, with their estimates
-        self.unsaved_reports: list[ChunkReport] = []  # of chunks that are stored and not yet marked
+        self.turns: dict[int, float] = {}  # estimated seconds of chunks in flight as the job's turn
+        self.unsaved_reports: list[ChunkReport] = []  # of stored chunks that are not marked yet
         self._policy = policy
         self.begun = set(paused)  # chunks that may have a checkpoint
         plan = prepared.plan
@@ -184,7 +184,7 @@ class JobRun:
 
     @property
     def may_submit(self) -> bool:
-        """Whether a chunk may be submitted now; not while results wait for the ledger, and may be lost."""
+        """Whether a chunk may be submitted now. Not while results wait for the ledger: they could be lost."""
         return self._has_ready and not self.refused and not self.has_unsaved
 
     @property
@@ -198,13 +198,13 @@ class JobRun:
         return not self.stopped and self.queue.ready > 0
 
     def add_slice(self, seconds: float) -> None:
-        """Note the time of a slice after which a chunk paused."""
+        """Note the seconds of a slice after which a chunk paused."""
         self._paused_seconds += seconds
         self.unsaved_seconds += seconds
 
     @property
     def chunk_seconds(self) -> float:
-        """Core-seconds of a chunk by the cost table, or of its paused slices, on average, if that is more."""
+        """Core-seconds of a chunk by the cost table, or of the paused slices per chunk if that is more."""
         done = len(self.prepared.plan) - self.queue.remaining
         return max(self._estimate, self._paused_seconds / (1 + done))
 
@@ -214,7 +214,7 @@ class JobRun:
         return self.queue.remaining * self.chunk_seconds
 
     def seconds_left(self) -> float | None:
-        """Estimated seconds until the job is done, after its unsaved reports; None without a rate."""
+        """Estimated seconds until the job is done, with its unsaved reports; None without a rate."""
         now = time.monotonic()
         self._times.note(self.unsaved_reports, now)
         to_come = ~self.queue.done
@@ -235,7 +235,7 @@ class JobRun:
     # Chunks that came back without a report, or with another's
 
     def mismatch(self, chunk: int, report: ChunkReport) -> ReportMismatch | None:
-        """The error of a report that is not this chunk's."""
+        """The error of a report that does not belong to this chunk; None if it does."""
         cells = self.prepared.plan[chunk].cells
         if (report.index, report.cells, sum(report.outcomes)) == (chunk, cells, cells):
             return None
@@ -267,7 +267,7 @@ class JobRun:
         self._tries[chunk] += action in FAILED_TRIES
         self._fatal = self._fatal or action is Action.FATAL
         if action in (Action.GIVE_UP, Action.FATAL):
-            # A worker's death has no traceback, as it would be the executor's own.
+            # no traceback for a worker's death: it would be the executor's own
             lines = [] if isinstance(error, ExecutorError) else traceback.format_exception(error)
             trace = "".join(lines)[-MAX_TRACEBACK:] or None
             place = self.prepared.describe(self.prepared.plan[chunk])
@@ -275,7 +275,7 @@ class JobRun:
             self.failures.append(failure)
             self.unsaved_failures.append(failure)
         else:
-            # a refused chunk goes first too, so that it uses up its own tries and not those of every chunk
+            # a refused chunk also goes first: it should use up its own tries, not those of every chunk
             self.queue.requeue(chunk, first=action is Action.CONTINUE or self.refused)
 
     # Saving to the ledger
@@ -307,16 +307,16 @@ class JobRun:
 
 
 def text_of(error: BaseException) -> str:
-    """An error with its notes: the cells, and the worker."""
+    """An error as text, with its notes: the cells and the worker."""
     notes = "".join(f" ({note})" for note in getattr(error, "__notes__", ()))
-    if isinstance(error, OSError) and error.strerror:  # as of a full disk
+    if isinstance(error, OSError) and error.strerror:  # such as a full disk
         return f"{error.strerror}{notes}"
     kind = "" if isinstance(error, ExecutorError) else f"{type(error).__name__}: "
     return f"{kind}{error}{notes}"
 
 
 class ChunkMetrics:
-    """Metrics of the chunks returned since the start; each is registered by who serves them."""
+    """Metrics of the chunks returned since the start. Whoever serves them registers them."""
 
     def __init__(self) -> None:
         meaning = "Seconds of workers for each chunk computed since the start."

@@ -1,4 +1,4 @@
-"""Which job submits the next chunk. Pure: jobs and free places of the executor in, that job out."""
+"""Decides which job submits the next chunk. Pure: takes jobs and free places, and returns a job."""
 
 import heapq
 from collections.abc import Collection, Iterator, Mapping
@@ -18,7 +18,7 @@ MAX_TIMES_IN_FLIGHT: Final = 4
 
 @dataclass(frozen=True)
 class Waiting:
-    """What decides when a job that is not in memory gets a place; a `JobRun` has the same."""
+    """A job that is not in memory, with the fields of a `JobRun` that decide when it gets a place."""
 
     id: str
     seq: int  # numbers jobs in the order they were accepted
@@ -42,18 +42,18 @@ class Next(NamedTuple):
 
 
 def by_remaining_work(job: Job) -> tuple[float, int]:
-    """The order of jobs."""
+    """Sort key of jobs: the least left to compute first, then the first accepted."""
     return job.remaining_seconds, job.seq
 
 
 class Rotation:
     """The unfinished jobs in the order of their turns, and when the next turn is due.
 
-    Owners take turns, and so do each owner's jobs. A turn is one chunk, or one time slice of a long one. In
-    any case `ROTATION_SHARE` of the workers' time goes to turns, so that every job advances, however many
-    smaller ones follow it.
+    Owners take turns, and so do each owner's jobs. A turn is one chunk, or one time slice of a long chunk.
+    `ROTATION_SHARE` of the workers' time goes to turns, so that every job advances, whatever the number of
+    smaller jobs after it.
 
-    `slice_seconds`: the highest cost of a turn.
+    slice_seconds: limit on the cost of a turn.
     """
 
     def __init__(self, slice_seconds: float) -> None:
@@ -63,7 +63,7 @@ class Rotation:
         self._credit = 0.0  # core-seconds that turns may take now
 
     def update(self, owners: Mapping[str, str | None]) -> None:
-        """Forget ended jobs and add new ones at the end. `owners`: by job, in order of acceptance."""
+        """Forget ended jobs and add new ones at the end. owners: by job, in order of acceptance."""
         for job_id in self._owners.keys() - owners.keys():
             self._remove(job_id)
         for job_id, owner in owners.items():
@@ -83,7 +83,7 @@ class Rotation:
         return self._credit >= min(seconds, self.slice_seconds)
 
     def begin_turn(self, job_id: str, seconds: float) -> None:
-        """Give a job a turn of about `seconds` core-seconds; its next turn follows all other jobs'."""
+        """Give a job a turn of about `seconds` core-seconds; its next turn comes after all other jobs."""
         self._credit -= min(seconds, self.slice_seconds)
         owner = self._owners[job_id]
         self._remove(job_id)
@@ -91,13 +91,13 @@ class Rotation:
         self._jobs[owner] = self._jobs.pop(owner)
 
     def end_turn(self, estimate: float, taken: float) -> None:
-        """Replace a turn's estimate by the core-seconds it has taken."""
+        """Replace the estimate of a turn by the core-seconds that it took."""
         self._credit += min(estimate, self.slice_seconds) - taken
 
     def earn(self, seconds: float) -> None:
         """Add the core-seconds of chunks outside the rotation.
 
-        The credit is at most one turn's: missed turns are not made up for.
+        The credit is limited to one turn: missed turns are lost.
         """
         earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
         self._credit = min(self._credit + earned, self.slice_seconds)
@@ -116,33 +116,33 @@ class Rotation:
 class Schedule:
     """The order in which jobs get places: the job whose turn is due, else the one with the least left.
 
-    Chunks of larger jobs do not count: a smaller job overtakes them. At most `active_jobs` jobs are in
-    memory; an idle one gives its place to another. `window`: places per worker; `window_seconds`:
-    core-seconds of one worker's chunks, so that short ones get more places.
+    A smaller job overtakes the chunks of larger ones, which do not count. At most `active_jobs` jobs are in
+    memory; an idle one gives its place to another. window: places per worker. window_seconds: core-seconds
+    in flight per worker, so that short chunks get more places.
     """
 
     def __init__(self, window: int, window_seconds: float, active_jobs: int, slice_seconds: float) -> None:
         self._window, self._window_seconds, self._active_jobs = window, window_seconds, active_jobs
         self.rotation = Rotation(slice_seconds)
-        self.slots = 0  # places of the executor, for all workers
+        self.slots = 0  # places of the executor, over all workers
         self.waiting: dict[str, Waiting] = {}  # by job id, in order
 
     def update(self, waiting: list[Waiting], owners: Mapping[str, str | None]) -> None:
-        """Take the jobs that may start, and the owners of all unfinished ones, in order of acceptance."""
+        """Set the jobs that may start, and the owners of all unfinished ones, in order of acceptance."""
         self.waiting = {job.id: job for job in sorted(waiting, key=by_remaining_work)}
         self.rotation.update(owners)
 
     def next(self, active: Mapping[str, Job], starting: int = 0) -> Next | None:
         """The next job, in memory or waiting; None if enough is in flight or no job has a chunk.
 
-        `active`: jobs in memory, by id; `starting`: jobs that will be.
+        active: jobs in memory, by id. starting: number of jobs that will be in memory.
         """
         if self.slots <= 0:
             return None
         return self._next_in_turn(active, starting) or self._next_smallest(active, starting)
 
     def count(self, seconds: float, turn: float | None) -> None:
-        """Count the core-seconds of a chunk or slice that came back; `turn`: the estimate of a turn."""
+        """Count the core-seconds of a chunk or slice that came back; turn: its estimate, if it was a turn."""
         if turn is None:
             self.rotation.earn(seconds)
         else:
@@ -178,11 +178,11 @@ class Schedule:
                 placed = self._placed(job, False, active, starting)
                 if placed is not None:
                     return placed
-                has_room = False  # nor for the jobs behind it, which have more left
+                has_room = False  # the jobs behind it have more left, and so no place either
         return None
 
     def _placed(self, job: Job, is_turn: bool, active: Mapping[str, Job], starting: int) -> Next | None:
-        """A job with its place in memory; an idle one with more left leaves, for a turn any idle one."""
+        """A job with a place in memory, or None. An idle job with more left leaves; for a turn any idle."""
         if job.id in active or len(active) + starting < self._active_jobs:
             return Next(job, is_turn)
         idle = [other for other in active.values() if other.is_idle and other.may_submit]
@@ -192,6 +192,6 @@ class Schedule:
         return Next(job, is_turn, leaving)
 
     def _is_full(self, count: float, seconds: float) -> bool:
-        """Whether `count` chunks of `seconds` core-seconds in all are enough: of short ones more are sent."""
+        """Whether `count` chunks, of `seconds` core-seconds in all, are enough; more if they are short."""
         enough = self._window_seconds * self.slots / self._window
         return count >= self.slots and (seconds >= enough or count >= MAX_IN_FLIGHT)

@@ -31,20 +31,20 @@ from worker.study.chunks import SLICE_SECONDS
 
 log = logging.getLogger(__name__)
 
-#: With more workers than this, chunks pause less often in proportion: other jobs' chunks wait equally long.
+#: With more workers than this, chunks pause less often in proportion: other jobs wait no longer for a worker.
 WORKERS_TO_WAIT: Final = 4
 #: The priority of a job's turn: above that of all other chunks, which is negative.
 TURN_PRIORITY: Final = 0.0
-#: Seconds for which later chunks of smaller jobs overtake a chunk waiting at the executor; less if its own
-#: job is small too: half if it has as many core-seconds left.
+#: Seconds for which later chunks of smaller jobs overtake a chunk that waits at the executor. For a job with
+#: this many core-seconds left it is half, for smaller ones less.
 PASSED_SECONDS: Final = 10.0
-#: Runs of a job abandoned after unforeseen errors before the job fails.
+#: Number of runs abandoned after unforeseen errors with which a job fails.
 MAX_BROKEN_RUNS: Final = 3
-#: Seconds that a reader waits for the repair of what it found damaged.
+#: Seconds that a reader waits for the repair of damage that it found.
 REPAIR_SECONDS: Final = 10.0
 #: Seconds until stores that could not be removed are tried again.
 RETRY_SECONDS: Final = 30.0
-#: Without workers the ledger is synced after this share of a heartbeat, so that new workers get chunks soon.
+#: Part of a heartbeat between syncs while there are no workers, so that new workers soon get chunks.
 IDLE_SHARE: Final = 0.25
 
 
@@ -56,18 +56,19 @@ class Returned(NamedTuple):
     future: "Future[ChunkReport]"
 
 
-#: What comes to the supervisor; a call is made in its thread. After a call, or None, the ledger has changed.
+#: Messages to the supervisor. It makes a call in its own thread. After a call, or None, the ledger has
+#: changed.
 Message = Returned | Callable[[], None] | None
 
 
 class Supervisor:
-    """Computes the ledger's unfinished jobs on an executor until it is stopped, and looks after their stores.
+    """Computes the ledger's unfinished jobs on an executor until it is stopped, and maintains their stores.
 
-    `Schedule` decides which job submits the next chunk, for which the executor has a limited number of
-    places; after that later chunks of smaller jobs overtake a chunk for at most PASSED_SECONDS.
+    `Schedule` decides which job submits the next chunk to the executor's limited places. There, later chunks
+    of smaller jobs overtake a chunk for at most PASSED_SECONDS.
 
     `start`, `in_flight`, `metrics`, `cluster`, `unknown_stores`, `wake`, `repair` and `stop` may be used from
-    any thread; the rest runs in its own.
+    any thread. The rest runs in the supervisor's own.
     """
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings, preparer: JobPreparer) -> None:
@@ -106,10 +107,7 @@ class Supervisor:
         self._inbox.put(None)
 
     def repair(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
-        """Have a store repaired in which a reader found damage, in these chunks or outside any.
-
-        Raises LedgerUnavailable.
-        """
+        """Have a store repaired, as `stores.repair.repair`. Raises LedgerUnavailable."""
         self._ledger.check()
         if self._stop.is_set():
             raise LedgerUnavailable("the service ends")
@@ -133,9 +131,9 @@ class Supervisor:
         while not self._stop.is_set():
             try:
                 self._receive()
-                self._ledger.check()  # nothing is stored either while the stores are missing
+                self._ledger.check()  # fails while the stores are missing: nothing may be stored
                 self._step()
-            except Exception as error:  # the next step writes the rest
+            except Exception as error:  # the next step continues
                 pause = self._settings.heartbeat_seconds
                 is_defect = not isinstance(error, LedgerUnavailable)
                 log.error("supervisor step failed; retrying in %g s: %s", pause, error, exc_info=is_defect)
@@ -177,7 +175,7 @@ class Supervisor:
                 self._end(run)
 
     def _repair(self, job_id: str, damaged: Sequence[ChunkCoords], repaired: "Future[Repair]") -> None:
-        """Repair a store. In this thread: no run of the job begins meanwhile."""
+        """Repair a store, in this thread, where no run of the job begins meanwhile."""
         try:
             result = repair(self._ledger, self._preparer, job_id, damaged)
         except Exception as error:  # noqa: BLE001 - for the reader
@@ -190,7 +188,7 @@ class Supervisor:
 
     @contextmanager
     def _contained(self, run: JobRun) -> Iterator[None]:
-        """Let an error, except of the ledger, end only one job's run; the next sync rebuilds it."""
+        """Let an error, except one of the ledger, end only this run; the next sync rebuilds it."""
         try:
             yield
         except LedgerUnavailable:
@@ -257,7 +255,7 @@ class Supervisor:
             run.queue.invalidate(unmarked)
 
     def _abandon(self, run: JobRun) -> None:
-        """Cancel waiting chunks and make workers stop the others; the next start computes them."""
+        """Cancel waiting chunks and have workers stop the others. The next start computes them."""
         for future in list(run.in_flight.values()):
             future.cancel()
         if run.in_flight:
@@ -269,12 +267,12 @@ class Supervisor:
     # Jobs in the ledger
 
     def _sync(self) -> None:
-        """Sync with the ledger: start queued jobs, apply or revoke cancel requests."""
+        """Sync with the ledger: find jobs to start, apply cancel requests, and remove deleted stores."""
         self._ledger.keep_reserve()
         cluster = self.cluster = self._executor.state()
-        # Without workers as for one: a cluster that can grow starts some for waiting chunks.
+        # one worker's places if there are none: waiting chunks make a cluster grow
         self._schedule.slots = self._settings.window * max(cluster.workers, 1) if cluster.connected else 0
-        # Among many workers one is free soon, however long each is busy.
+        # among many workers one is soon free even with long slices
         slice_seconds = SLICE_SECONDS * max(1.0, cluster.workers / WORKERS_TO_WAIT)
         self._schedule.rotation.slice_seconds = slice_seconds
         pause = self._settings.heartbeat_seconds * (1.0 if cluster.workers else IDLE_SHARE)
@@ -296,7 +294,7 @@ class Supervisor:
                 elif job.cancel_requested:
                     self._start_job(job.id)  # it ends at once
         except store.UNREACHABLE as error:
-            # The other stores are in the same bucket and would wait too. The next sync tries again.
+            # the other stores are in the same bucket; the next sync tries again
             log.warning("the bucket of the stores does not answer: %s", error)
         self._update_waiting(unfinished)
         if cluster.connected and not cluster.workers:  # none of these will begin
@@ -305,11 +303,11 @@ class Supervisor:
         runs, waiting = self._runs.values(), self._schedule.waiting.values()
         seconds = sum(run.remaining_seconds for run in runs) + sum(job.remaining_seconds for job in waiting)
         self.remaining_seconds, at_once = seconds, sum(run.at_once for run in runs) + len(waiting)
-        # Rounded to two digits, so that it rarely changes.
+        # rounded to two digits, so that they rarely change
         self._executor.ask_for(float(f"{seconds:.1e}"), int(float(f"{at_once:.1e}")))
 
     def _remove(self, deletions: Sequence[Deletion]) -> None:
-        """Remove stores of deleted jobs in another thread, which tells the inbox when it has tried all."""
+        """Remove stores of deleted jobs in another thread, which wakes this one at the end."""
         if not deletions or self._remover.is_alive() or time.monotonic() < self._removals_due:
             return
 
@@ -322,7 +320,7 @@ class Supervisor:
         self._remover.start()
 
     def _update_waiting(self, unfinished: Sequence[Unfinished]) -> None:
-        """Tell the schedule which jobs may start, and who owns all of them."""
+        """Pass the jobs that may start, and the owners of all, to the schedule."""
         estimates = self._core_seconds
         self._core_seconds = {job.id: estimates.get(job.id) or self._estimate(job.id) for job in unfinished}
         waiting = []
@@ -335,7 +333,7 @@ class Supervisor:
         self._schedule.update(waiting, owners)
 
     def _estimate(self, job_id: str) -> float:
-        """Core-seconds of a whole job, at most; 0 if it cannot be prepared, which its start will report."""
+        """Upper estimate of a job's core-seconds; 0 if it cannot be prepared, which its start reports."""
         job = self._ledger.find(job_id)
         try:
             return 0.0 if job is None else self._preparer.prepare(job).cost.upper_core_seconds
@@ -346,7 +344,7 @@ class Supervisor:
         """Run a job, or fail it if it cannot start. Raises one of `store.UNREACHABLE`."""
         job = self._ledger.find(job_id)
         if job is None:
-            return  # deleted meanwhile
+            return  # it was deleted
         try:
             if (chosen := self._choices.chosen(job)) is None:
                 return  # this thread is woken when the model is chosen
@@ -357,11 +355,11 @@ class Supervisor:
         except LedgerUnavailable:
             raise  # not the job's fault: the step is retried
         except Exception as error:
-            self._ledger.check()  # nor is a disk that cannot be written
+            self._ledger.check()  # a disk that cannot be written is not the job's fault either
             log.exception("job %s cannot start", job_id)
             self._fail(job, f"the job cannot start: {type(error).__name__}: {error}")
             return
-        with self._ledger.writing() as ledger:  # it may have been cancelled or deleted meanwhile
+        with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
             current = ledger.unfinished_record(job)
             if current is not None:
                 ledger.run(current, time.time())
@@ -428,7 +426,7 @@ class Supervisor:
                     self._send(run, due.is_turn)
 
     def _start_waiting(self, job_id: str) -> None:
-        """Start a waiting job, if it can start before the next sync."""
+        """Start a waiting job, unless its bucket does not answer."""
         del self._schedule.waiting[job_id]
         try:
             self._start_job(job_id)

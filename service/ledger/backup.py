@@ -19,16 +19,16 @@ SQLITE_VERSION: Final = sqlite3.sqlite_version
 
 
 class Contents(NamedTuple):
-    """What a ledger contains."""
+    """The numbers of jobs and chunks in a ledger."""
 
     jobs: int
     chunks: int  # marked done
 
 
 def backup(ledger: Path, file: Path) -> Contents:
-    """Copy a ledger at one moment to `file`, whole or not at all; a service may be using it.
+    """Copy a ledger, as it is at one moment, to `file`, whole or not at all. A service may be using it.
 
-    Raises LedgerUnavailable if it cannot be read or written, LedgerUnusable if it is damaged.
+    Raises LedgerUnavailable if a file cannot be read or written, LedgerUnusable if the ledger is damaged.
     """
     if not ledger.is_file():
         raise LedgerUnavailable(f"there is no ledger {ledger}")
@@ -53,9 +53,9 @@ def backup(ledger: Path, file: Path) -> Contents:
 
 
 def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
-    """Put a backup in place of a ledger that no service uses; its contents, and where the previous is kept.
+    """Put a backup in place of a ledger; its contents, and the path where the previous ledger is kept.
 
-    Raises DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is no whole ledger.
+    Raises DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is not a whole ledger.
     """
     if not file.is_file():
         raise LedgerUnusable(f"there is no file {file}")
@@ -69,10 +69,10 @@ def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
                 restored.flush()
                 with closing(sqlite3.connect(restored.name)) as connection, connection:
                     if connection.execute("PRAGMA user_version").fetchone()[0] != VERSION:
-                        # Stores were named by the id: those to be removed may have been computed again.
+                        # stores were named by the id: deleted ones may have been computed again
                         connection.executescript("DELETE FROM deletions")
                     make_tables(connection)
-                    connection.execute("PRAGMA journal_mode=DELETE")  # one file, which one renaming moves
+                    connection.execute("PRAGMA journal_mode=DELETE")  # one file, moved by one renaming
                 sync(Path(restored.name))  # before the previous one is moved
                 replaced = _set_aside(ledger)
         except sqlite3.Error as error:
@@ -81,7 +81,7 @@ def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
 
 
 def inspect(file: Path) -> Contents:
-    """Check a ledger and count its contents; a service may be using it. Raises LedgerUnusable."""
+    """Check a ledger and count its contents. A service may be using it. Raises LedgerUnusable."""
     with _readable(file), _opened(file) as connection:
         check(connection, file)
         jobs, chunks = connection.execute("SELECT count(*), total(chunks_done) FROM jobs").fetchone()
@@ -121,9 +121,9 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
 def _set_aside(ledger: Path) -> Path | None:
     """Rename a ledger and its log; None if there is none."""
     replaced = replaced_path(ledger) if ledger.exists() else None
-    for of in (wal_of, shm_of):
+    for beside in (wal_of, shm_of):
         if replaced is None:
-            of(ledger).unlink(missing_ok=True)
-        elif of(ledger).exists():
-            of(ledger).rename(of(replaced))
+            beside(ledger).unlink(missing_ok=True)
+        elif beside(ledger).exists():
+            beside(ledger).rename(beside(replaced))
     return replaced and ledger.rename(replaced)

@@ -1,7 +1,7 @@
 """The ledger: jobs and their done chunks in one SQLite file, the authority on what is done.
 
-One connection writes and one reads, each behind its lock, so that a poll never waits for a commit. The file
-is checked when it is opened; nothing is written to a damaged one.
+One connection writes and one reads, each behind its lock, so that a reader never waits for a commit. The file
+is checked when it is opened. Nothing is written to a damaged file.
 """
 
 import fcntl
@@ -30,18 +30,18 @@ log = logging.getLogger(__name__)
 PAGE: Final = 50_000
 #: Free bytes inside the ledger's files, for records when the disk is full.
 RESERVE: Final = 1 << 18
-#: Seconds that a transaction waits for another of this process, and again for one of another process.
+#: Seconds that a transaction waits for one of this process, and again for one of another process.
 BUSY_SECONDS: Final = 10.0
-#: Seconds for checking the file at the start; damage in the rest of a larger file shows when it is read.
+#: Limit on the seconds of the check at the start; damage in the rest of a large file shows when it is read.
 CHECK_SECONDS: Final = 10.0
 
 
 class Ledger(AbstractContextManager["Ledger"]):
     """The ledger of one data folder; used by one process at a time, by any of its threads.
 
-    `has_stores` says whether results are stored beside it: a file of 0 bytes is then no new ledger.
-    Raises DataFolderBusy if another process has it open, LedgerUnusable if a newer version wrote it, or if
-    the file is damaged or no ledger; then the data folder is unlocked.
+    has_stores: whether there are stores beside it; then an empty file is not a new ledger. Raises
+    DataFolderBusy if another process has it open, and LedgerUnusable if a newer version wrote it, or if the
+    file is damaged or not a ledger. On errors the data folder is unlocked.
     """
 
     def __init__(self, path: Path, has_stores: Callable[[], bool] = lambda: False) -> None:
@@ -51,7 +51,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         self._damage: str | None = None  # why nothing is written until the next start
         self._refused: str | None = None  # why the last transaction could not begin
         self._check_stores: Callable[[], None] = lambda: None
-        self._stores_fault: str | None = None  # what was last wrong about the stores
+        self._stores_fault: str | None = None  # what is wrong with the stores, as of the last check
         self._closed = False
         with ExitStack() as opened:
             opened.enter_context(locked(path))
@@ -101,7 +101,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         Called at every heartbeat, and before anything is stored.
         """
         try:
-            self._check_stores()  # without a lock: a file system that hangs holds up this thread alone
+            self._check_stores()  # without a lock: a file system that hangs stops only this thread
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)
@@ -111,13 +111,13 @@ class Ledger(AbstractContextManager["Ledger"]):
                 self._writer.execute("ROLLBACK")
 
     def guard(self, check_stores: Callable[[], None]) -> None:
-        """Make `check` call this too, which raises LedgerUnavailable while nothing may be stored."""
+        """Make `check` call `check_stores`, which raises LedgerUnavailable while nothing may be stored."""
         self._check_stores = check_stores
 
     def fault(self) -> str | None:
-        """Why the ledger could not be read or written last; waits for no writer.
+        """Why the ledger could not be read or written last; None if it could. Waits for no writer.
 
-        Names no path: anyone who asks for the service's readiness gets it.
+        Names no path: anyone may ask for the service's readiness.
         """
         try:
             if self._damage is None:
@@ -128,7 +128,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         return self._stores_fault or self._refused
 
     def _begin(self) -> None:
-        """Begin to write; keeps the reason of a refusal, such as another program's lock."""
+        """Begin to write. Keeps the reason of a refusal, such as another program's lock."""
         try:
             self._writer.execute("BEGIN IMMEDIATE")
         except sqlite3.Error as error:
@@ -165,22 +165,20 @@ class Ledger(AbstractContextManager["Ledger"]):
         if self._writer.in_transaction:
             self._writer.execute("ROLLBACK")
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
-            # The log is as long as the disk allows. Once its contents are in the main file, it is written
-            # from its beginning again.
+            # the log fills the disk: once its contents are in the main file, it begins anew
             with suppress(sqlite3.Error):
                 self._writer.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def keep_reserve(self) -> None:
         """Keep free pages in the main file and room in its log, if the disk has space.
 
-        When the disk is full nothing else can take them, whereas others could take the space of a removed
-        file.
+        When the disk is full, no other program can take them, as it could the space of a removed file.
         """
         with suppress(LedgerUnavailable), self._exclusive():
             pragmas = ("PRAGMA freelist_count", "PRAGMA page_size")
             pages, size = (int(self._writer.execute(pragma).fetchone()[0]) for pragma in pragmas)
             if pages * size < RESERVE or size_of(wal_of(self.path)) < RESERVE:
-                # Two transactions: pages freed in the one that made them are never written.
+                # in two transactions: pages made and freed in one are never written
                 self._writer.executescript(
                     "BEGIN IMMEDIATE; DROP TABLE IF EXISTS reserve; CREATE TABLE reserve (content BLOB);"
                     f"INSERT INTO reserve VALUES (zeroblob({RESERVE + (1 << 16)})); COMMIT;"
@@ -218,7 +216,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         return LedgerUnavailable(self._refused)
 
 
-#: What an operator can do about an unusable ledger.
+#: The remedy for an unusable ledger, for operators.
 MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
 
 NOT_LOCAL: Final = (
@@ -226,7 +224,7 @@ NOT_LOCAL: Final = (
     "stores may be there (BOUNCE_STORES)"
 )
 
-#: SQLite's codes for a file with foreign contents.
+#: SQLite's codes for a damaged file.
 _DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 
 
@@ -270,7 +268,7 @@ def make_tables(connection: sqlite3.Connection) -> None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[IO[str]]:
-    """Lock the folder of a ledger; the system unlocks it when the process dies. Raises DataFolderBusy."""
+    """Lock the folder of a ledger. The system unlocks it when the process dies. Raises DataFolderBusy."""
     with lock_of(path).open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

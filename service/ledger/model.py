@@ -33,10 +33,10 @@ LEGAL: Final[Mapping[JobState, frozenset[JobState]]] = {
     JobState.CANCELLED: frozenset({JobState.QUEUED}),
 }
 
-#: The supervisor works on jobs in these states.
+#: States of the jobs that the supervisor works on.
 UNFINISHED: Final = (JobState.QUEUED, JobState.RUNNING)
 
-#: Submitting the sweep of a job in one of these states again resumes the job.
+#: States in which a job resumes when its study is submitted again.
 RESUMABLE: Final = (JobState.FAILED, JobState.CANCELLED)
 
 
@@ -57,9 +57,9 @@ class NewJob:
     chunk_shape: tuple[int, ...]  # cells of a chunk along each dimension; for a sweep xi, omega, gamma
     chunks_total: int
     cells_total: int
-    #: Adaptive maps: cells of the first rounds of all chunks; 0 for other studies.
+    #: Of an adaptive map: cells of the first rounds of all chunks; 0 for other studies.
     first_cells: int = field(default=0, kw_only=True)
-    #: Name of the access token that submitted it, or last resumed it; None if that has no name.
+    #: Name of the access token that submitted or last resumed it; None if that has no name.
     owner: str | None = field(default=None, kw_only=True)
 
 
@@ -74,19 +74,19 @@ class JobRecord(NewJob):
     error: str | None
     created: float
     started: float | None
-    finished: float | None  # during a repair: when it was done before
+    finished: float | None  # during a repair: when the job was done before
     chunks_done: int
     cells_done: int
     cells_settling: int  # done cells whose outcome is `settling`
-    cells_computed: int  # done cells that were computed, in an adaptive map
-    choice: str | None  # `auto` sweeps: JSON of worker.analysis.model_selection.ModelChoice, once chosen
-    replaced_by: str | None  # outdated jobs: id of the job that computes the same study anew
+    cells_computed: int  # of an adaptive map: done cells that were not filled in
+    choice: str | None  # of an `auto` sweep: JSON of worker.analysis.model_selection.ModelChoice, once chosen
+    replaced_by: str | None  # of an outdated job: id of the job that computes the same study anew
     pinned: bool = False  # marked by a user
-    core_seconds: float = 0.0  # of its chunks, repetitions included; unknown for adopted chunks
+    core_seconds: float = 0.0  # of all chunks and repetitions, except adopted chunks
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
-    cells_timed: int = 0  # cells of these chunks
+    cells_timed: int = 0  # cells of the chunks in `core_seconds`
     progressed: float | None = None  # when the last chunks of this run were done
-    seconds_left: float | None = None  # estimated then
+    seconds_left: float | None = None  # estimated at `progressed`
 
     @property
     def named_spec(self) -> dict[str, Any]:
@@ -97,13 +97,13 @@ class JobRecord(NewJob):
     def outdated(self) -> bool:
         """Whether another kernel version computed it.
 
-        Its results can be read, but this release adds nothing to them: the numbers may differ.
+        Its results can be read. This release adds nothing to them, because its numbers may differ.
         """
         return self.kernel_version != KERNEL_VERSION
 
     @property
     def notice(self) -> str | None:
-        """What readers of an outdated job's results must know; None for other jobs."""
+        """A notice for readers of an outdated job's results; None for other jobs."""
         if not self.outdated:
             return None
         again = "" if self.replaced_by is None else f", as job {self.replaced_by}"
@@ -114,19 +114,19 @@ class JobRecord(NewJob):
 
     @property
     def repairing(self) -> bool:
-        """Whether it was done before, and computes damaged chunks again."""
+        """Whether a job that was done computes damaged chunks again."""
         return self.state is JobState.RUNNING and self.finished is not None
 
     @property
     def revision(self) -> tuple[object, ...]:
-        """Changes whenever the job's description changes, except for the estimated time left."""
+        """A value that changes with the job's description, except with the estimated time left."""
         facts = (self.state, self.error, self.choice, self.chunks_done, self.started, self.finished)
         return (self.id, *facts, self.notice, self.owner, self.pinned, self.name)
 
     def eta_seconds(self, now: float) -> float | None:
-        """Estimated remaining seconds; None without an estimate.
+        """Estimated seconds left; None without an estimate.
 
-        Falls between chunks, ever more slowly, to no less than half: a slow chunk at most doubles it.
+        Between chunks it falls ever more slowly, at most to half, so that a slow chunk at most doubles it.
         """
         left = self.seconds_left
         if self.state is not JobState.RUNNING or self.progressed is None or left is None:
@@ -135,13 +135,13 @@ class JobRecord(NewJob):
         return left and left / min(1.0 + since / left, 2.0)
 
     def progress(self, now: float) -> dict[str, float | None]:
-        """What users see of the job's progress at `now`, in seconds since 1970."""
+        """The job's progress for users at `now`, in seconds since 1970."""
         to_come = self.chunks_total - self.chunks_done
         needed = self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
         names = ("chunks_done", "chunks_total", "cells_done", "cells_total", "cells_settling")
         return {name: getattr(self, name) for name in names} | {
-            # Adaptive maps: those computed, and those known to be needed, which grow with the first rounds of
-            # the remaining chunks.
+            # of adaptive maps: cells computed, and cells known to be needed, with the first rounds of the
+            # remaining chunks
             "cells_computed": self.cells_computed if self.first_cells else None,
             "cells_needed": needed if self.first_cells else None,
             "percent": 1000 * self.cells_done // max(self.cells_total, 1) / 10,  # 100 means all
@@ -150,17 +150,17 @@ class JobRecord(NewJob):
 
 
 class Failure(NamedTuple):
-    """A chunk that was given up; resuming the job tries it again."""
+    """A chunk that was given up. Resuming the job tries it again."""
 
     chunk: int
     place: str  # the chunk's number and cells, as `PreparedJob.describe` gives them
     error: str
-    traceback: str | None  # None where a worker process died
-    tries: int  # failed ones
+    traceback: str | None  # None if a worker process died
+    tries: int  # failed tries
 
 
 def summary_of(failures: Sequence[Failure]) -> str | None:
-    """The first failure, and how many followed; None if there are none."""
+    """The first failure and the number of further ones; None if there are none."""
     if not failures:
         return None
     first, more = failures[0], len(failures) - 1

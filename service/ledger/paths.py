@@ -5,7 +5,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Final
 
-#: File systems shared between machines: SQLite's WAL mode needs memory shared by all users of the file.
+#: File systems shared between machines. SQLite's WAL mode needs memory that all users of the file share.
 NETWORK: Final = frozenset(
     (
         "9p", "afs", "beegfs", "ceph", "cifs", "fuse.glusterfs", "fuse.s3fs", "fuse.sshfs", "glusterfs",
@@ -25,12 +25,12 @@ def shm_of(path: Path) -> Path:
 
 
 def lock_of(path: Path) -> Path:
-    """The file that the user of a ledger locks."""
+    """The file that the process using a ledger locks."""
     return path.with_suffix(".lock")
 
 
 def replaced_path(path: Path) -> Path:
-    """A free path beside a ledger for the one that a restore replaces, with the time in its name."""
+    """A free path, with the time in its name, for a ledger that a restore replaces."""
     stem = f"{path.stem}-replaced-{time.strftime('%Y%m%dT%H%M%S')}"
     names = chain([stem], (f"{stem}-{number}" for number in count(2)))
     paths = (path.with_name(f"{name}{path.suffix}") for name in names)

@@ -1,4 +1,4 @@
-"""Searches of jobs: conditions and order in SQL, and the cursor of the next page. Pure."""
+"""Searches for jobs: conditions and order in SQL, and the cursor of the next page. Pure."""
 
 import base64
 import json
@@ -58,10 +58,10 @@ _CURSOR: Final = TypeAdapter(
 
 @dataclass(frozen=True)
 class JobSearch:
-    """Conditions on jobs; None: any.
+    """Conditions on jobs; None allows any value.
 
-    `text` is contained in the name (ASCII letters in either case), or begins the id. Times are in seconds
-    since 1970; `created_from` is included, `created_before` is not.
+    The name must contain `text`, in which the case of ASCII letters does not matter, or the id begin with it.
+    Times are in seconds since 1970; `created_from` is included, `created_before` is not.
     """
 
     text: str | None = None
@@ -88,8 +88,8 @@ class JobSearch:
         if after is not None:
             column = _COLUMNS[self.order]
             values[f"({column.sql}, seq) {'<' if column.way == 'DESC' else '>'} (?, ?)"] = after
-        asked = {sql: given for sql, given in values.items() if None not in given}
-        return f"WHERE {' AND '.join(asked) or 'true'}", [*chain(*asked.values())]
+        conditions = {sql: given for sql, given in values.items() if None not in given}
+        return f"WHERE {' AND '.join(conditions) or 'true'}", [*chain(*conditions.values())]
 
     @property
     def order_by(self) -> str:

@@ -64,7 +64,7 @@ TABLES: Final = f"""
     CREATE INDEX jobs_by_creation ON jobs (created);
     CREATE INDEX jobs_pinned ON jobs (seq) WHERE pinned;
 
-    -- Chunks refer to no job: those of a deleted one are removed a few at a time.
+    -- Chunks refer to no job: those of a deleted job are removed a few at a time.
     CREATE TABLE chunks (
         job INTEGER NOT NULL,
         chunk INTEGER NOT NULL,
@@ -94,7 +94,7 @@ TABLES: Final = f"""
     CREATE INDEX keys_by_age ON keys (created);
     CREATE INDEX keys_by_job ON keys (job);
 
-    -- What marks the stores as this ledger's, and whether they were marked.
+    -- The mark of this ledger's stores, and whether they were marked.
     CREATE TABLE marker (id TEXT NOT NULL, made INTEGER NOT NULL);
     INSERT INTO marker VALUES (lower(hex(randomblob(16))), 0);
 """
@@ -121,14 +121,14 @@ _TIME_LEFT: Final = """
     ALTER TABLE jobs ADD COLUMN seconds_left REAL;
 """
 
-#: What makes these tables of those of an earlier version.
+#: The statements that turn the tables of an earlier version into these.
 UPGRADES: Final = {
     14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS} {_TIME_LEFT}",
     16: _TIME_LEFT,
 }
 
-#: What each column of a job holds, of which SQLite enforces nothing: a list of jobs reads all. Whether the
-#: specification is that of the id, which takes longer, is checked when the job is prepared.
+#: The rule of each column of a job, which SQLite does not enforce: a list of jobs reads all columns. Whether
+#: the specification belongs to the id takes longer to check, when the job is prepared.
 _COLUMNS: Final = {
     "id": f"id GLOB '{'[0-9a-f]' * 32}'",
     "store": "store = id || '.zarr' OR ltrim(store, '0123456789') = '-' || id || '.zarr'",
@@ -152,12 +152,12 @@ _WRONG: Final = " ".join(
     for column, rule in _COLUMNS.items()
 )
 
-#: Queries for what no service writes: what is wrong, or NULL.
+#: Queries for rows that no service writes; each returns what is wrong, or NULL.
 _ROWS: Final = (
     "SELECT 'has no mark of its stores' WHERE (SELECT count(*) FROM marker) != 1",
     "SELECT 'deletes ' || quote(store) || ', not the store of a deleted job' FROM deletions WHERE"
     " (store GLOB '?*.zarr*' AND store NOT GLOB '*/*') IS NOT TRUE OR store IN (SELECT store FROM jobs)",
-    # Reads all text: what is not UTF-8 is an error.
+    # reads all text, because text that is not UTF-8 is an error
     f"SELECT 'is damaged: job ' || id || ' cannot have the ' || CASE {_WRONG} END,"
     " name, spec, kernel_version, choice, owner, error, replaced_by, runs FROM jobs",
 )
@@ -175,5 +175,5 @@ _CONTRADICTION: Final = """
 
 
 def faults(version: int) -> tuple[str, ...]:
-    """The queries for a ledger of a version, 0 without tables; the quickest first."""
+    """The queries for faults of a ledger of a version, quickest first; 0: it has no tables."""
     return (*(_ROWS if version == VERSION else ()), _INTEGRITY, *((_CONTRADICTION,) if version else ()))

@@ -1,4 +1,4 @@
-"""The audit of a sweep: how many of its cells a computation that can be trusted would change."""
+"""The audit of a sweep: how many of its cells a reference would change (`worker.analysis.audit`)."""
 
 from collections.abc import Mapping, Sequence
 from math import nan, prod
@@ -19,14 +19,14 @@ from worker.analysis.intervals import ENDLESS, bounds, covered
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
 
-#: Cells of a sample where nothing else is asked for: as many as cost SHARE of the sweep, within these limits.
+#: By default a sample has the cells that cost SHARE of the sweep, within these limits.
 FEWEST, MOST_BY_DEFAULT = 59, 200
 SHARE: Final = 0.1
-#: Cells computed again for each of the sample: besides, hard ones, points and thresholds.
+#: Cells computed again for each cell of the sample: with hard cells, points and thresholds.
 HARD_AND_POINTS: Final = 2.5
-#: Cells that a time stepper follows where nothing else is asked for: as many as take these core-seconds.
+#: By default a time stepper follows the cells that take these core-seconds, up to this many.
 FOLLOWED, FOLLOWED_SECONDS = 10, 20.0
-#: Of a budget: fewer cells tell nothing.
+#: The fewest cells of a sample within a budget; fewer say nothing.
 FEWEST_AFFORDED: Final = 20
 #: Bytes of a cell in an answer.
 _PER_CELL: Final = 400
@@ -108,15 +108,15 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     answers = answers_of(study, query, table, sizes)
     certified = sizes["certified"] / sizes["cells"]
     both = len(answers) > 1
-    numbers = np.array([[of.get(name, _NOT_ASKED) for name in QUESTIONS] for of in answers.values()])
+    numbers = np.array([[row.get(name, _NOT_ASKED) for name in QUESTIONS] for row in answers.values()])
     by_field = np.moveaxis(numbers if both else numbers[0], -1, 0)
-    asked = dict(zip(_Answer._fields, by_field, strict=True))
+    answered = dict(zip(_Answer._fields, by_field, strict=True))
     matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
     own = table["set"] == audit.SETS.index("numerics")
     np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
     of_sweep = {"outcomes": matrix, "cells": sizes["cells"], "certified": certified}
-    listed = _listed(study.spec, table, query.tolerance)
-    data = variables(_QUESTION, asked, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
+    listed = _changed_cells(study.spec, table, query.tolerance)
+    data = variables(_QUESTION, answered, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
@@ -132,9 +132,9 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
 def answers_of(
     study: Stored[SweepSpec], query: AuditQuery, table: "_Table", sizes: Mapping[str, Any]
 ) -> "dict[str, dict[str, _Answer]]":
-    """The answer to each question, by what the sweep is against.
+    """The answers to all questions, against `numerics` and, if the sweep approximates a contact, `model`.
 
-    table: FIELDS of the drawn cells. sizes: SIZES of the sweep.
+    table: arrays of FIELDS of the drawn cells. sizes: SIZES of the sweep.
     """
     drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
              for i, name in enumerate(audit.SETS)}  # fmt: skip
@@ -142,19 +142,19 @@ def answers_of(
     answers = {
         "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
         | {
-            "threshold": _of_pairs(drawn["threshold"], sizes["thresholds"]),
-            "area": _of_points(drawn["area"]),
-            "integrator": _of_followed(drawn["integrator"], sizes, query.tolerance),
+            "threshold": _of_thresholds(drawn["threshold"], sizes["thresholds"]),
+            "area": _of_area(drawn["area"]),
+            "integrator": _of_integrator(drawn["integrator"], sizes, query.tolerance),
         }
     }
     if _contact(study) is not None:
-        of_all = {**sizes, "certified": 0, "certified_error": 0.0}
-        answers["model"] = _answers(drawn["model"], of_all, query.tolerance, labelled=False)
+        uncertified = {**sizes, "certified": 0, "certified_error": 0.0}
+        answers["model"] = _answers(drawn["model"], uncertified, query.tolerance, labelled=False)
     return answers
 
 
 class _Answer(NamedTuple):
-    """One question: the cells looked at, and what they say of all."""
+    """The answer to one question: numbers of sampled cells, and the share of all cells."""
 
     sampled: int = 0
     changed: int = 0
@@ -172,18 +172,19 @@ _Table = Mapping[str, Any]  # FIELDS as arrays (n,)
 
 
 def _table(parts: Sequence[Mapping[str, Any]]) -> _Table:
-    """The cells of all parts."""
+    """The cells of all parts; deviations of -1 are infinite."""
     dtypes = {"deviation": np.float64, "undecided": bool}
-    return {
-        name: np.array([x for part in parts for x in part[name]], dtypes.get(name)) for name in audit.FIELDS
-    }
+    columns = {name: [x for part in parts for x in part[name]] for name in audit.FIELDS}
+    table = {name: np.array(column, dtypes.get(name)) for name, column in columns.items()}
+    table["deviation"][table["deviation"] < 0.0] = np.inf
+    return table
 
 
 def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
     """Which cells have changed, by question."""
     resting, repeating = table["true_outcome"] == Outcome.AT_REST, table["true_outcome"] == Outcome.PERIODIC
     outcome = table["outcome"] != table["true_outcome"]
-    deviates = (table["deviation"] > tolerance) | (table["deviation"] < 0.0)
+    deviates = table["deviation"] > tolerance
     return {
         "rest": (table["outcome"] == Outcome.AT_REST) != resting,
         "outcome": outcome,
@@ -197,7 +198,7 @@ def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
 
 
 def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled: bool) -> dict[str, _Answer]:
-    """The answers of a simple random sample of the cells that are not certified, scaled to all cells."""
+    """The answers of a random sample of the cells that are not certified, scaled to all cells."""
     rest = sizes["cells"] - sizes["certified"]
     weight = rest / sizes["cells"]
     answers = {
@@ -206,26 +207,27 @@ def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled
         if labelled or name != "label"
     }
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
-    deviation = np.where(table["deviation"] < 0.0, np.inf, table["deviation"])[repeating]
-    largest = float(np.nanmax(deviation, initial=sizes["certified_error"]))
+    largest = float(np.nanmax(table["deviation"][repeating], initial=sizes["certified_error"]))
     within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest))
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
     return answers
 
 
 def _answer(changed: Any, undecided: Any, population: int, weight: float = 1.0) -> _Answer:
-    """changed, undecided: (n,) of a sample of a population, which is this part of all."""
+    """The answer of a sample: its cells that changed (n,), and those that are undecided (n,).
+
+    population: cells from which it was drawn, the part `weight` of all.
+    """
     sampled = len(changed)
     if not sampled:
         return _Answer(0, 0, 0, 0.0, 0.0, 0.0) if not population else _NOT_ASKED
-    certain, open_ = int(np.count_nonzero(changed & ~undecided)), int(np.count_nonzero(undecided))
-    low, high = bounds(certain, certain + open_, sampled, population)
-    share = certain / sampled
-    return _Answer(sampled, certain, open_, weight * share, weight * low, weight * high)
+    certain, doubtful = int(np.count_nonzero(changed & ~undecided)), int(np.count_nonzero(undecided))
+    low, high = bounds(certain, certain + doubtful, sampled, population)
+    return _Answer(sampled, certain, doubtful, weight * (certain / sampled), weight * low, weight * high)
 
 
-def _of_pairs(table: _Table, thresholds: int) -> _Answer:
-    """Thresholds; both cells of each have the same unit."""
+def _of_thresholds(table: _Table, thresholds: int) -> _Answer:
+    """The answer for thresholds. Both cells of a threshold have the same unit."""
     bouncing = np.isin(table["outcome"], BOUNCING) != np.isin(table["true_outcome"], BOUNCING)
     units = np.unique(table["unit"])
     changed, undecided = (
@@ -235,24 +237,24 @@ def _of_pairs(table: _Table, thresholds: int) -> _Answer:
     return _answer(changed, undecided & ~changed, thresholds)
 
 
-def _of_points(table: _Table) -> _Answer:
-    """Points anywhere in the plane."""
+def _of_area(table: _Table) -> _Answer:
+    """The answer for points anywhere in the plane."""
     population = ENDLESS if len(table["outcome"]) else 0
     return _answer(_masks(table, 0.0)["mode"], table["undecided"], population)
 
 
-def _of_followed(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:
-    """Cells at rest or periodic that a time stepper follows."""
+def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:
+    """The answer for cells at rest or periodic that a time stepper follows."""
     sampled, repeating = len(table["outcome"]), sizes["repeating"]
     if not sampled:
         return _NOT_ASKED
     weight = repeating / sizes["cells"]
     answer = _answer(_masks(table, tolerance)["flights"], table["undecided"], repeating, weight)
-    largest = np.where(table["deviation"] < 0.0, np.inf, table["deviation"]).max()
-    return answer._replace(largest=float(largest), covered=weight * covered(sampled, repeating))
+    largest = float(table["deviation"].max())
+    return answer._replace(largest=largest, covered=weight * covered(sampled, repeating))
 
 
-def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
+def _changed_cells(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
     """The variables of the cells that have changed, by name."""
     masks = _masks(table, tolerance)
     changed = np.flatnonzero(masks["mode"] | masks["flights"] | table["undecided"])
@@ -260,37 +262,37 @@ def _listed(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[
         "cell_set": [audit.SETS[i] for i in table["set"]],
         "cell_direction": [spec.directions[i] for i in table["direction"]],
         **{f"cell_{axis}": table[axis] for axis in ("gamma", "omega", "xi")},
-        "cell_stored": _named(table, ""),
-        "cell_reference": _named(table, "true_"),
-        "cell_deviation": np.where(table["deviation"] < 0.0, np.inf, table["deviation"]),
+        "cell_stored": _mode_labels(table, ""),
+        "cell_reference": _mode_labels(table, "true_"),
+        "cell_deviation": table["deviation"],
         "cell_undecided": table["undecided"],
     }
     return {name: [values[i] for i in changed] for name, values in named.items()}
 
 
-def _named(table: _Table, prefix: str) -> list[str]:
+def _mode_labels(table: _Table, prefix: str) -> list[str]:
     fields = (table[f"{prefix}{name}"].tolist() for name in ("outcome", "bounces", "periods"))
-    return [attractor_label(*each) for each in zip(*fields, strict=True)]
+    return [attractor_label(*mode) for mode in zip(*fields, strict=True)]
 
 
 def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:
-    """What the audit says of all cells."""
-    said = []
-    for against, of in answers.items():
-        mode, flights = of["mode"], of["flights"]
+    """The audit in words."""
+    sentences = []
+    for against, questions in answers.items():
+        mode, flights = questions["mode"], questions["flights"]
         begins, drawn = ("numerics: " if against == "numerics" else "contact: "), "drawn"
         if against == "numerics" and certified:
             begins += f"{100.0 * certified:.3g} % of the cells are certified, "
             drawn = "others drawn"
-        said.append(
+        sentences.append(
             f"{begins}{_between(mode)} of the cells have another outcome or mode ({mode.changed} of "
             f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
             f"{tolerance:g} rad"
         )
     followed = answers["numerics"]["integrator"]
     if followed.sampled:
-        said.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
-    return "; ".join(said)
+        sentences.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
+    return "; ".join(sentences)
 
 
 def _between(answer: _Answer) -> str:
@@ -328,12 +330,12 @@ def affordable(spec: SweepSpec, seconds: float) -> int | None:
 
 
 def is_compiled(study: Stored[SweepSpec]) -> bool:
-    """Whether an audit in this process compiles nothing but what follows cells by time steps."""
+    """Whether an audit in this process compiles nothing, except for cells followed by time steps."""
     return all(audit.is_compiled(study.spec, contact) for contact in (None, _contact(study)))
 
 
 def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:
-    """The audit that these core-seconds suffice for, by the table, the usual one if they do; or None."""
+    """The audit that fits into these core-seconds, by the table: the usual one, a smaller one, or None."""
     usual, cells = AuditQuery(), affordable(spec, seconds)
     if _seconds(spec, usual) <= seconds:
         return usual
@@ -341,7 +343,7 @@ def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:
 
 
 def _seconds(spec: SweepSpec, query: AuditQuery) -> float:
-    """Core-seconds, by the table."""
+    """Core-seconds of an audit, by the table."""
     cells = HARD_AND_POINTS * _cells(spec, query) * audit.reference_seconds(spec)
     return cells + _followed(spec, query) * audit.followed_seconds(spec)
 
@@ -359,20 +361,12 @@ def estimate(spec: SweepSpec, query: AuditQuery) -> Estimate:
 
 def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
     """The cells computed again. Raises InvalidRequest for a sweep that is not done, OutdatedJob."""
-    check_kernel(study.kernel_version)
+    check_kernel(study)
     if not study.complete:
         raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
-    cells = _cells(study.spec, query)
-    asked = (
-        study.spec,
-        study.url,
-        _contact(study),
-        cells,
-        _followed(study.spec, query),
-        query.seed,
-        query.tolerance,
-    )
-    return [(audit.look, *asked, part) for part in range(audit.PARTS)]
+    spec, contact = study.spec, _contact(study)
+    sample = (_cells(spec, query), _followed(spec, query), query.seed, query.tolerance)
+    return [(audit.look, spec, study.url, contact, *sample, part) for part in range(audit.PARTS)]
 
 
 VIEW: Final = View(

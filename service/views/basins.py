@@ -1,4 +1,4 @@
-"""The basin of a cell: its attractors, and which of them each start of the plane reaches."""
+"""The basins of a cell: its attractors, and the attractor that each start of the plane reaches."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.pictures import ATTRACTORS, SYMBOLS, UNDECIDED, legend_beside
-from service.views.selection import Stored, attractor_label, nearest_index, read_stored
+from service.pictures import ATTRACTORS, UNDECIDED, legend_beside, values_at
+from service.views.selection import Stored, attractor_label, nearest_values, read_stored
 from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
@@ -40,7 +40,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     an attractor has the number 0.
     """
     spec, plane = study.spec, study.spec.protocol
-    points = {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in reversed(AXES)}
+    points = nearest_values(spec, query, reversed(AXES))
     rows = stored_arrays(spec)
     indices = {axis: point.index for axis, point in points.items()}
     stored = read_stored(study, [row.name for row in rows], indices)
@@ -67,7 +67,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
 
 
 def _as_result(row: Array) -> Array:
-    """A stored array as this result has it."""
+    """A stored array under the name that it has in this result."""
     if row.name == "attractor":
         return VARIABLES["attractor_of_start"]
     named = of_attractor(row)
@@ -85,8 +85,7 @@ def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> 
 
 def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
     """The starts of one cell. Raises InvalidRequest for a cell that the grid does not have."""
-    for axis in AXES:
-        nearest_index(spec, axis, getattr(query, axis))
+    nearest_values(spec, query, AXES)
     return Estimate({"row": spec.protocol.rows, "column": spec.protocol.columns})
 
 
@@ -95,7 +94,7 @@ NAMED: Final = 16
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """The plane of starts, each in the colour of its attractor."""
+    """Draw the plane of starts, each in the colour of its attractor."""
     from matplotlib.colors import ListedColormap
 
     axes = figure.subplots()
@@ -108,13 +107,12 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     for axis, side in ((axes.xaxis, result.column), (axes.yaxis, result.row)):
         units = "" if side.units == "1" else f" ({side.units})"
         axis.set_label_text(f"{side.long_name}{units}")
-    values = ", ".join(f"{SYMBOLS[name]} = {result[name].item():g}" for name in ("gamma", "omega", "xi"))
-    axes.set_title(f"{values}  ({result.attrs['model']})", fontsize=11)
+    axes.set_title(f"{values_at(result, reversed(AXES))}  ({result.attrs['model']})", fontsize=11)
     _legend(axes, result, colours)
 
 
 def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """The ends of the picture: every start is the middle of its pixel."""
+    """The ends of the picture along an axis: every start is the middle of its pixel."""
     half = 0.5 * float(values[1] - values[0]) if len(values) > 1 else 0.5
     return float(values[0]) - half, float(values[-1]) + half
 

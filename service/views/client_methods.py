@@ -48,13 +48,13 @@ def source() -> str:
     return _HEAD + _class("ResultMethods", "a job", VIEWS) + _class("SpringMethods", "a spring", SPRINGS)
 
 
-def _class(name: str, of: str, views: dict[str, View]) -> str:
+def _class(name: str, owner: str, views: dict[str, View]) -> str:
     lines = [
         f"        {_literal(name)}: {_literal((view.formats, _printed(view)))},\n"
         for name, view in views.items()
     ]
     return (
-        f'\n\nclass {name}(Methods):\n    """A method for each result of {of}."""\n\n'
+        f'\n\nclass {name}(Methods):\n    """A method for each result of {owner}."""\n\n'
         f"    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {{\n{''.join(lines)}    }}\n"
         + "".join(map(_method, views.values()))
     )

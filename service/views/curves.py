@@ -10,7 +10,7 @@ from pydantic import Field
 from kernel.cycles.curves import Curves, Parameter, curves
 from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
-from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS
+from service.pictures import ATTRACTORS, AXES, IDEAL, values_at
 from service.views import orbits
 from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
 from service.views.variables import coordinate
@@ -21,12 +21,12 @@ from worker.spec.errors import one_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Core-seconds that one answer may take, and those of one mode over the flight times of its branch at the
-#: range's smaller omega.
+#: Limit on the core-seconds of an answer. Core-seconds of a mode per flight time of its branch, at the
+#: smaller omega.
 MAX_SECONDS: Final = 60.0
 _SECONDS: Final = 0.01
 
-#: Bytes of an answer, and its points as an estimate: how long curves are, shows once they are followed.
+#: Estimated bytes and points of an answer: the length of curves is known only once they are followed.
 _MEMORY: Final = 64 * 2**20
 _POINTS: Final = 4_000
 
@@ -48,7 +48,7 @@ class CurvesQuery(orbits.ContactQuery):
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
-    """The parameter that varies, the value of the other one, and the range. Raises InvalidRequest."""
+    """The parameter that varies, the value of the other, and the range. Raises InvalidRequest."""
     over_omega = (query.xi, query.omega_start, query.omega_stop)
     over_xi = (query.omega, query.xi_start, query.xi_stop)
     match over_omega, over_xi:
@@ -66,27 +66,24 @@ def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
 
 def _kinds(query: CurvesQuery) -> tuple[Kind, ...]:
     """Kinds of curves, written as `fold,flip`. Raises InvalidRequest."""
-    known = KINDS if query.model is None else CONTACT_CURVES
+    possible = KINDS if query.model is None else CONTACT_CURVES
     if query.kinds is None:
-        return known
+        return possible
     names = [name.strip() for name in query.kinds.split(",")]
-    unknown = [name for name in names if name not in known]
+    unknown = [name for name in names if name not in possible]
     if unknown:
-        raise InvalidRequest.of("kinds", f"must be among {one_of(known)}, not {unknown[0][:40]!a}")
-    return tuple(kind for kind in known if kind in names)
+        raise InvalidRequest.of("kinds", f"must be among {one_of(possible)}, not {unknown[0][:40]!a}")
+    return tuple(kind for kind in possible if kind in names)
 
 
 def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
     """The curves of each mode."""
     along, fixed, span = _plane(query)
-    kinds, contact = _kinds(query), orbits.contact(query)
-    if contact is not None:
-        top = query.gamma_max
-        return [
-            (follow_curves, contact, along, fixed, span, mode.periods, kinds, top)
-            for mode in parse_modes(query.modes)
-        ]
-    return [(curves, along, fixed, *span, mode.periods, kinds) for mode in parse_modes(query.modes)]
+    kinds, contact, modes = _kinds(query), orbits.contact(query), parse_modes(query.modes)
+    if contact is None:
+        return [(curves, along, fixed, *span, mode.periods, kinds) for mode in modes]
+    top = query.gamma_max
+    return [(follow_curves, contact, along, fixed, span, mode.periods, kinds, top) for mode in modes]
 
 
 def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
@@ -112,7 +109,7 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
 
 
 def estimate(spec: None, query: CurvesQuery) -> Estimate:
-    """An estimate. Raises InvalidRequest for a query without a plane, and above MAX_SECONDS."""
+    """The typical size. Raises InvalidRequest for a query without a plane, and above MAX_SECONDS."""
     along, fixed, span = _plane(query)
     _kinds(query)
     contact = orbits.contact(query)
@@ -122,8 +119,8 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
         for spring in springs:
             grid_length(*spring, periods)
     omega, xi = springs[0]
-    each = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
-    seconds = np.cumsum(each if contact is None else [CURVES_SECONDS] * len(modes))
+    closed_form = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
+    seconds = np.cumsum(closed_form if contact is None else [CURVES_SECONDS] * len(modes))
     if seconds[-1] > MAX_SECONDS:
         fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
         rule = (
@@ -135,21 +132,20 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Γ of every curve, each kind in its colour; dotted where no cycle of the spring is."""
+    """Draw Γ of every curve, each kind in its colour; dotted where the cycle is not admissible."""
     axes, along = figure.subplots(), result.attrs["along"]
     kinds = sorted(set(result.curve_kind.values.tolist()))
     for i in range(result.sizes["curve"]):
         curve = result.isel(curve=i)
-        colour, there = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.violations.values == 0
-        for shown, style in ((there, "-"), (~there, ":")):
+        colour, admissible = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.violations.values == 0
+        for shown, style in ((admissible, "-"), (~admissible, ":")):
             axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
     for kind, colour in zip(kinds, ATTRACTORS, strict=False):
         axes.plot([], [], color=colour, label=kind)
     if kinds:
         axes.legend(frameon=False)
     other = "xi" if along == "omega" else "omega"
-    title = f"{SYMBOLS[other]} = {result[other].item():g}"
-    axes.set(xlabel=AXES[along], ylabel=AXES["gamma"], title=title)
+    axes.set(xlabel=AXES[along], ylabel=AXES["gamma"], title=values_at(result, [other]))
 
 
 VIEW: Final = View(

@@ -50,11 +50,11 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery) -> xarray.D
     unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
     """
     spec, along = study.spec, query.along
-    fixed, window = selection.fixed_axes(spec, along, dict(query)), _window(spec, query)
+    fixed, window = selection.fixed_axes(spec, query), _window(spec, query)
     part = slice(window.start, window.stop, query.every)
     indices = {along: part, **{axis: point.index for axis, point in fixed.items()}}
     cells = {
-        direction: _shown(_line(study, direction, indices, query.min_flight), query)
+        direction: _shown(_read_line(study, direction, indices, query.min_flight), query)
         for direction in selection.directions_of(spec, query.direction)
     }
     coords = {axis: coordinate(axis, point.value) for axis, point in fixed.items()}
@@ -83,7 +83,7 @@ def rows_of(spec: SweepSpec) -> Iterator[Array]:
         yield selection.LABEL
 
 
-def _line(
+def _read_line(
     study: selection.Stored[SweepSpec], direction: str, indices: Any, min_flight: float | None
 ) -> dict[str, NDArray[Any]]:
     """The variables of the cells in one direction."""
@@ -98,7 +98,7 @@ def _line(
 
 
 def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, NDArray[Any]]:
-    """The variables with the flights that are not shown as NaN."""
+    """The variables, with NaN for flights outside the window and of hidden cells."""
     times, low, high = arrays["flight_time"], query.flight_start, query.flight_stop
     shown = (times >= (-np.inf if low is None else low)) & (times <= (np.inf if high is None else high))
     if query.hide is not None:
@@ -107,8 +107,8 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
 
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
-    """All flights that the line can have. Raises InvalidRequest for a line that the sweep does not have."""
-    selection.fixed_axes(spec, query.along, dict(query))
+    """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
+    selection.fixed_axes(spec, query)
     selection.check_order(query, "flight_start", "flight_stop")
     directions = selection.directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
@@ -118,7 +118,7 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
 
 
 def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
-    """How the cells were computed and which of them are shown."""
+    """How the cells were computed, and which of them are shown."""
     attrs, outcome = result.attrs, result.variables["outcome"].values
     [way, *other] = np.atleast_1d(result.direction.values)
     ramped = "ramped" if other else f"ramped {way}"
@@ -130,16 +130,16 @@ def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
     codes = result.variables[selection.LABEL.name if selection.LABEL.name in result else "outcome"].values
     special = (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC, UNSTABLE)
     counts = {code: int(np.count_nonzero(codes == code)) for code in special}
-    told_apart = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
-    return f"{CONTACT_MODELS[spec.model.kind].label}, {start}{flights}{thinned}{unresolved}{told_apart}"
+    labelled = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
+    return f"{CONTACT_MODELS[spec.model.kind].label}, {start}{flights}{thinned}{unresolved}{labelled}"
 
 
-#: Inches.
+#: Size of the picture, inches.
 SIZE: Final = (8.6, 4.2)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Flight times along the axis. The picture says how many cells are missing."""
+    """Draw the flight times along the axis, and write how many cells are missing."""
     axes = figure.subplots()
     draw_diagram(axes, result)
     set_scales(axes, result)

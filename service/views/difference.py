@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PLANE: Final = ("omega", "gamma")
-_OF_CELLS: Final = (*(each for each in RECORD if each.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
+_OF_CELLS: Final = (*(array for array in RECORD if array.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
 _DIFFERS: Final = row(
     "differs", (), "|u1", "how the cell compares with the nearest one of the other sweep",
     flag_values=[0, 1, 2], flag_meanings="same_mode other_mode not_compared",
@@ -81,12 +81,12 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     common = known = np.logical_and.outer(*inside)
     for arrays in (own, theirs):
         known = known & (arrays["outcome"] != Outcome.MISSING)
-    compared = [each.name for each in _OF_CELLS if each.name in own and each.name in theirs]
+    compared = [array.name for array in _OF_CELLS if array.name in own and array.name in theirs]
     same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
     data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
-    rows = {each.name: each for each in _ROWS}
+    rows = {array.name: array for array in _ROWS}
     return dataset(
         {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
         | {name: variable(("omega",), values[part], rows[name]) for name, values in moved.items()},
@@ -103,7 +103,7 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
 def _nearest(
     spec: SweepSpec, other: SweepSpec, every: int = 1
 ) -> tuple[list[NDArray[np.intp]], list[NDArray[np.bool_]]]:
-    """The indices of the other sweep nearest to each omega and gamma, and which are within its axes."""
+    """Indices of the other sweep's nearest omegas and gammas, and which of them are within its axes."""
     near, inside = [], []
     for axis in _PLANE:
         values, theirs = spec.axis_values(axis)[::every], other.axis_values(axis)
@@ -119,7 +119,7 @@ def _nearest(
 def _read_nearest(
     study: selection.Stored[SweepSpec], direction: str, xi: int, near: list[NDArray[np.intp]]
 ) -> selection.Arrays:
-    """`recounted` arrays of these rows and columns of a plane, read some rows at a time."""
+    """The `recounted` arrays at these rows and columns of a plane, read some rows at a time."""
     rows, columns = near
     names = selection.arrays_of_modes(study.spec, None)
     at_once = max(1, selection.MAX_READ // (4 * len(study.spec.axis_values("gamma"))))
@@ -137,9 +137,9 @@ def _read_nearest(
 def _moved(
     study: selection.Stored[SweepSpec], other: selection.Stored[SweepSpec], xi: int, other_xi: int
 ) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.bool_]]:
-    """How far thresholds move per omega of the first sweep, and which of these the other has too.
+    """How far thresholds move at each omega of the first sweep, and which omegas the other has too.
 
-    Nothing where one of them has no thresholds in gamma.
+    Empty if one of the sweeps has no thresholds in gamma.
     """
     if not {study.spec.ramp_axis, other.spec.ramp_axis} <= {None, "gamma"}:
         return {}, np.array([], bool)
@@ -158,9 +158,9 @@ def _sentence(
     same: NDArray[np.bool_], known: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]],
     shared: NDArray[np.bool_],
 ) -> str:  # fmt: skip
-    """In how many cells modes are the same; by how much thresholds move at most where they are `shared`.
+    """In words: the share of cells with the same mode, and the most that thresholds move.
 
-    `known`: the cells that are computed in both.
+    known: cells that are computed in both. shared: omegas that both have.
     """
     if not known.any():
         return "No cell of both is computed yet."
@@ -176,7 +176,7 @@ def _sentence(
 
 
 def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
-    """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
+    """All cells of the plane. Raises InvalidRequest if the sweep lacks the plane."""
     selection.nearest_index(spec, "xi", query.xi)
     selection.directions_of(spec, query.direction)
     lengths = {axis: len(spec.axis_values(axis)) for axis in _PLANE}
@@ -184,7 +184,7 @@ def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """The cells that differ, with the modes of the other sweep."""
+    """Draw the cells that differ, with the modes of the other sweep."""
     axes = figure.subplots()
     names = [str(name) for name in result.data_vars if str(name).startswith("other_")]
     shown = result[names].rename({name: name.removeprefix("other_") for name in names})

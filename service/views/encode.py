@@ -1,4 +1,4 @@
-"""A Dataset as bytes: JSON, binary, NetCDF, CSV, Parquet, or a picture. Knows no result by name."""
+"""Encodes a Dataset as JSON, binary, NetCDF, CSV, Parquet or a picture. Knows no result by name."""
 
 import csv
 import io
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
-#: A row group of Parquet is written once it has as many rows or bytes: large enough to be read fast, small
-#: enough to be skipped, and held in memory until then.
+#: Rows or bytes with which a row group of Parquet is written: large enough to be read fast, small enough to
+#: be skipped and held in memory.
 GROUP_ROWS: Final = 2**17
 GROUP_BYTES: Final = 16 * 2**20
-#: The most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
+#: Most numbers along further dimensions, such as exponents, that CSV spreads over columns. It omits more.
 COLUMNS: Final = 8
 #: Arrays begin at a multiple of this many bytes, as typed arrays of a browser require.
 ALIGNMENT: Final = 8
@@ -38,7 +38,7 @@ def to_json(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
 
 
 def _for_json(values: NDArray[Any]) -> Any:
-    """What stands for an array that orjson refuses: text, a scalar, one that is not contiguous or native."""
+    """Replace an array that orjson refuses: a text, a scalar, or one that is not contiguous or native."""
     if values.ndim == 0 or values.dtype.kind in "UOT":
         return values.tolist()
     return np.ascontiguousarray(values, values.dtype.newbyteorder("="))
@@ -47,8 +47,8 @@ def _for_json(values: NDArray[Any]) -> Any:
 def to_binary(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
     """A line with the JSON document, then the arrays, little-endian.
 
-    In place of its data an array has {"offset", "shape"}, the offset in bytes from the end of the line.
-    Scalars and texts stay in the line.
+    In the document the data of an array are {"offset", "shape"}, the offset in bytes from the end of the
+    line. Scalars and texts stay in the line.
     """
     arrays: list[bytes] = []
     end = 0
@@ -71,7 +71,7 @@ def _aligned(size: int) -> int:
 
 
 def _document(dataset: xarray.Dataset, data: Callable[[NDArray[Any]], Any]) -> dict[str, Any]:
-    # Through `variables`: a DataArray takes fifty times as long to make.
+    # from `variables`, as making a DataArray takes fifty times as long
     def described(names: Iterable[Any]) -> dict[str, Any]:
         return {
             str(name): {"dims": v.dims, "attrs": v.attrs, "dtype": _dtype(v.dtype), "data": data(v.values)}
@@ -99,7 +99,7 @@ def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
 
 
 def with_flags(attrs: Mapping[Any, Any], dtype: Any) -> dict[Any, Any]:
-    """Attributes as CF wants them: flag values have the type of their variable."""
+    """Attributes as CF requires: flag values have the type of their variable."""
     return {name: np.array(x, dtype) if isinstance(x, list) else x for name, x in attrs.items()}
 
 
@@ -115,7 +115,7 @@ def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:
 
 
 def _texts(values: NDArray[Any]) -> list[Any]:
-    """What a line of CSV shows of each value."""
+    """The values for lines of CSV, with empty texts for NaN."""
     if values.dtype.kind == "f" and (missing := np.isnan(values)).any():
         values = np.where(missing, "", values.astype(object))
     return list(values.tolist())
@@ -146,11 +146,11 @@ def write_parquet(target: Any, batches: Iterator[Any], attributes: Mapping[Any, 
             for group in _groups(chain([first], batches)):
                 file.write_table(pa.Table.from_batches(group).cast(schema), row_group_size=GROUP_ROWS)
     finally:
-        pa.default_memory_pool().release_unused()  # it keeps what it had for its next arrays
+        pa.default_memory_pool().release_unused()  # else it keeps it for its next arrays
 
 
 def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
-    """The batches in groups that are large enough, the last one perhaps not."""
+    """The batches in groups that are large enough, except perhaps the last."""
     group: list[Any] = []
     rows = size = 0
     for batch in batches:
@@ -164,7 +164,7 @@ def _groups(batches: Iterable[Any]) -> Iterator[list[Any]]:
 
 
 def record_batch(columns: Mapping[str, Any]) -> Any:
-    """The columns as a `pyarrow.RecordBatch`; objects are texts, also where there are none."""
+    """The columns as a `pyarrow.RecordBatch`; columns of objects are texts, even without rows."""
     import pyarrow as pa
 
     objects = {name: x for name, x in columns.items() if isinstance(x, np.ndarray) and x.dtype.kind == "O"}
@@ -176,60 +176,60 @@ TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_p
 ENCODERS: Final = {**DATASETS, **TABLES}
 
 
-#: The rows of a table among all places of the variable that has them.
+#: The rows of a table: which places of the variable that defines them.
 Rows = NDArray[Any] | slice
 
 
 def tables(dataset: xarray.Dataset, rows: str, *, lists: bool) -> Iterator[dict[str, Any]]:
-    """One row for each number of the variable `rows`, NaN left out, some thousand at a time.
+    """Tables with one row for each number of the variable `rows`, without NaN, some thousand rows each.
 
     Columns are the coordinates and the variables over dimensions of `rows`, as arrays. A variable with a
-    further dimension is a column of lists, a `pyarrow.ListArray`, or without `lists` one column for each
+    further dimension is a column of lists, a `pyarrow.ListArray`; without `lists`, one column for each
     position along it. Codes appear as their `flag_meanings`.
     """
     dims = tuple(map(str, dataset.variables[rows].dims))
     for part in _parts(dataset, dims):
         counted = part.variables[rows].values.ravel()
-        kept: Rows = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else slice(None)
-        yield dict(_columns(part, dims, kept, lists))
+        selected: Rows = np.flatnonzero(~np.isnan(counted)) if counted.dtype.kind == "f" else slice(None)
+        yield dict(_columns(part, dims, selected, lists))
 
 
 def _parts(dataset: xarray.Dataset, dims: tuple[str, ...]) -> Iterator[xarray.Dataset]:
     """The Dataset cut along `dims`, the first slowest, into parts of about ROWS rows."""
     first, *others = dims
-    each = prod(dataset.sizes[dim] for dim in others)
-    step = max(1, ROWS // max(1, each))
+    rows = prod(dataset.sizes[dim] for dim in others)
+    step = max(1, ROWS // max(1, rows))
     for low in range(0, max(1, dataset.sizes[first]), step):
         part = dataset.isel({first: slice(low, low + step)})
-        yield from _parts(part, tuple(others)) if each > ROWS else [part]
+        yield from _parts(part, tuple(others)) if rows > ROWS else [part]
 
 
 def _columns(
-    part: xarray.Dataset, dims: tuple[str, ...], kept: Rows, lists: bool
+    part: xarray.Dataset, dims: tuple[str, ...], selected: Rows, lists: bool
 ) -> Iterator[tuple[str, Any]]:
     for dim in dims:
         if dim not in part.coords:
-            yield dim, _repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[kept]
+            yield dim, _repeated(part, (dim,), np.arange(part.sizes[dim], dtype=np.int32), dims)[selected]
     for name in map(str, (*part.coords, *part.data_vars)):
         variable = part.variables[name]
         extra = [str(dim) for dim in variable.dims if dim not in dims]
         if not extra:
-            yield name, _column(part, variable, dims, kept)
+            yield name, _column(part, variable, dims, selected)
         elif len(extra) == variable.ndim:  # the same for all rows, such as a map of starts
             continue
         elif lists:
-            yield name, _list_column(part, variable, dims, kept)
+            yield name, _list_column(part, variable, dims, selected)
         elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
             for place in np.ndindex(*sizes):
                 numbers = "_".join(str(i + 1) for i in place)
                 cell = variable.isel(dict(zip(extra, place, strict=True)))
-                yield f"{name}_{numbers}", _column(part, cell, dims, kept)
+                yield f"{name}_{numbers}", _column(part, cell, dims, selected)
 
 
 def _column(
-    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], selected: Rows
 ) -> NDArray[Any]:
-    values = _repeated(part, variable.dims, variable.values, dims)[kept]
+    values = _repeated(part, variable.dims, variable.values, dims)[selected]
     if "flag_values" in variable.attrs:
         codes = [int(code) for code in variable.attrs["flag_values"]]
         meanings = dict(zip(codes, variable.attrs["flag_meanings"].split(), strict=True))
@@ -237,17 +237,19 @@ def _column(
     return np.asarray(values, object if values.dtype.kind in "UT" else None)
 
 
-def _list_column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], kept: Rows) -> Any:
-    """The numbers of each row along the other dimensions; of flights without the NaN at the end."""
+def _list_column(
+    part: xarray.Dataset, variable: xarray.Variable, dims: tuple[str, ...], selected: Rows
+) -> Any:
+    """The numbers of each row along the other dimensions, in lists; flights without the NaN at the end."""
     import pyarrow as pa
 
-    rows = _repeated(part, variable.dims, variable.values, dims)[kept]
+    rows = _repeated(part, variable.dims, variable.values, dims)[selected]
     numbers = rows.reshape(len(rows), prod(rows.shape[1:]))
     most = numbers.shape[1]
     lengths = np.full(len(rows), most)
     if variable.dims[-1] == "flight" and numbers.dtype.kind == "f":
-        there = ~np.isnan(numbers)
-        lengths = np.where(there.any(axis=1), most - there[:, ::-1].argmax(axis=1), 0)
+        finite = ~np.isnan(numbers)
+        lengths = np.where(finite.any(axis=1), most - finite[:, ::-1].argmax(axis=1), 0)
     ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     return pa.ListArray.from_arrays(ends, pa.array(numbers[np.arange(most) < lengths[:, None]]))
 
@@ -255,23 +257,23 @@ def _list_column(part: xarray.Dataset, variable: xarray.Variable, dims: tuple[st
 def _repeated(
     part: xarray.Dataset, own: tuple[Any, ...], values: NDArray[Any], dims: tuple[str, ...]
 ) -> NDArray[Any]:
-    """`values` over the dimensions `own`: one entry, or one array, for each row of all `dims`."""
+    """Values over the dimensions `own`, as one entry or one array for each row of all `dims`."""
     extra = [dim for dim in own if dim not in dims]
     variable: Any = xarray.Variable(own, values)
     wide = variable.set_dims({dim: part.sizes[dim] for dim in (*dims, *extra)})
     return np.asarray(wide.values.reshape(prod(wide.shape[: len(dims)]), *wide.shape[len(dims) :]))
 
 
-#: Draws all pictures: matplotlib's settings belong to the process, its open font files to the thread.
+#: The one thread that draws: matplotlib's settings belong to the process, its open font files to the thread.
 _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 
 
 def picture(
     size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Mapping[str, str]
 ) -> bytes:
-    """The bytes of a picture that `draw` draws, the same for the same drawing; `size` is in inches.
+    """The bytes of a picture; the same drawing gives the same bytes.
 
-    `origin`: job, specification and versions by name, for the file's metadata.
+    size: inches. origin: job, specification and versions by name, for the file's metadata.
     """
     return _THREAD.submit(_picture, size, draw, format, origin).result()
 

@@ -1,6 +1,6 @@
-"""A whole study as one file, written chunk by chunk: NetCDF with its store's arrays, or Parquet with rows.
+"""Exports a whole study as one file, chunk by chunk: NetCDF with the store's arrays, or Parquet with rows.
 
-The file is unlinked before it is sent, so that nothing of it stays on the disk however the request ends.
+The file is unlinked before it is sent, so that it never stays on the disk, however the request ends.
 """
 
 import errno
@@ -38,14 +38,17 @@ from worker.sweep import SweepSpec, schema
 #: A chunk: the cells it spans, by dimension in the order of the store, and its arrays by name.
 _Block = tuple[Mapping[str, slice], Mapping[str, NDArray[Any]]]
 
+#: Suffixes of the parts of a complex array.
+_COMPLEX: Final = ("real", "imag")
+
 #: Bytes of the disk that an export leaves to jobs and to the ledger.
 SPARE: Final = 16 * 2**20
 
 
 def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int | float]:
-    """What a file says of its job, the same in every format: texts and numbers, values with parts as JSON.
+    """Attributes of a file, the same in every format: texts and numbers, other values as JSON.
 
-    The store's attributes depend on the specification alone. A file adds what computed it: software,
+    The store's attributes depend on the specification alone. A file adds how it was computed: software,
     libraries, processor, times and core-seconds. Workers must have the versions of the service.
     """
     layout, runs = prepared.layout, json.loads(job.runs)
@@ -64,7 +67,7 @@ def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int 
         attributes |= {
             "software": software[-1], "libraries": libraries, "processor": runs[-1]["processor"],
         }  # fmt: skip
-    if job.core_seconds:  # of adopted results it is not known
+    if job.core_seconds:  # unknown for adopted results
         attributes["core_seconds"] = round(job.core_seconds, 3)
     return flat_attributes(attributes)
 
@@ -81,7 +84,7 @@ class Export:
 
     @cached_property
     def stored(self) -> Layout:
-        """What is stored of the study."""
+        """The layout of the study's store."""
         return study_of(self.study.spec).variables(self.study.spec, self.plan.chunk_shape)
 
     @property
@@ -93,26 +96,22 @@ class Export:
 
 
 def _parts(row: Array) -> tuple[Array, ...]:
-    """The array as NetCDF has it: of complex numbers real and imaginary part, of booleans 0 and 1."""
+    """The arrays that replace an array in NetCDF: real and imaginary parts, and 0 and 1 for booleans."""
     if row.dtype == "|b1":
         return (row._replace(dtype="|u1"),)
     if row.dtype != "<c16":
         return (row,)
-    name = row.attrs["long_name"]
-    return tuple(
-        Array(
-            f"{row.name}_{part}", row.dims, "<f8", np.nan, row.attrs | {"long_name": f"{name}, {part} part"}
-        )
-        for part in ("real", "imag")
-    )
+    attrs = {part: row.attrs | {"long_name": f"{row.attrs['long_name']}, {part} part"} for part in _COMPLEX}
+    return tuple(Array(f"{row.name}_{part}", row.dims, "<f8", np.nan, attrs[part]) for part in _COMPLEX)
 
 
 def check(
     spec: Any, plan: Plan, format: ExportFormat, layout: ExportLayout = "cells", max_bytes: float = math.inf
 ) -> None:
-    """Raise InvalidRequest for the page of what is no sweep, and for rows that there are not.
+    """Check that a study can be exported.
 
-    Raises NotInstalled for Parquet without its library, TooLarge for a study of more than `max_bytes`.
+    Raises InvalidRequest for a page of another study than a sweep, and for rows of flights that it lacks;
+    NotInstalled for Parquet without its library; TooLarge for a study of more than `max_bytes`.
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     if format == "html" and not isinstance(spec, SweepSpec):
@@ -124,7 +123,7 @@ def check(
         raise InvalidRequest.of("layout", "this study stores no flights")
     check_format(format)
     size = study_of(spec).estimate(spec, plan).bytes
-    if size > max_bytes and format != "html":  # whose flights are thinned
+    if size > max_bytes and format != "html":  # a page thins its flights
         raise TooLarge(
             f"the sweep holds {size:,} bytes; the limit for one file is {max_bytes:,}: "
             "open the store itself, which has no such limit"
@@ -132,7 +131,7 @@ def check(
 
 
 def make(background: Background, export: Export, folder: Path) -> IO[bytes]:
-    """The study's file, written in the background; open for reading and already unlinked.
+    """Write the study's file in the background; returns it open for reading, and already unlinked.
 
     Raises NoSpace, another OSError, NotComputed, a `store.StoreError`.
     """
@@ -161,9 +160,9 @@ def write(export: Export, path: Path) -> None:
 
 
 def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
-    """Every chunk of the plan, if the disk has room for it before compression. Raises NoSpace.
+    """The chunks of the plan, with fill values in cells that are not computed yet.
 
-    Cells that are not computed yet hold fill values.
+    Raises NoSpace if the disk has no room for a chunk before compression.
     """
     study, layout = export.study, export.stored
     for chunk in export.plan:
@@ -183,7 +182,7 @@ def _blocks(export: Export, folder: Path) -> Iterator[_Block]:
 
 
 class _UnrefusedFile(io.FileIO):
-    """Hides refused writes from libhdf5, which crashes after one, also long after it."""
+    """A file that hides refused writes from libhdf5, which crashes after one, even long after."""
 
     refused: OSError | None = None
 
@@ -221,7 +220,7 @@ def _define(file: Any, export: Export) -> None:
         dim: n for row in export.arrays for dim, n in zip(row.dims, layout.shape(row), strict=True)
     }
     for name, values in layout.coordinates.items():
-        if values.dtype.kind == "T":  # text of any length, which HDF5 has as a type of its own
+        if values.dtype.kind == "T":  # HDF5 has its own type for text of any length
             file.create_variable(name, (name,), h5py.string_dtype())[...] = values.astype(object)
         else:
             file.create_variable(name, (name,), data=values)
@@ -232,7 +231,7 @@ def _define(file: Any, export: Export) -> None:
         dtype = np.dtype(row.dtype)
         created = file.create_variable(
             row.name, row.dims, dtype, chunks=layout.inner_shape(row) or layout.chunk_shape(row),
-            # Counts have no fill value: CF readers would turn them into floating point.
+            # no fill value of counts: CF readers would turn them into floating point
             fillvalue=row.fill if dtype.kind == "f" else None,
             compression="gzip", compression_opts=1, shuffle=True,
         )  # fmt: skip
@@ -242,11 +241,13 @@ def _define(file: Any, export: Export) -> None:
 
 def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     """A row for each cell, each attractor of a cell, or each flight."""
-    batches = chain.from_iterable(_rows(export, *block) for block in blocks)
+    batches = chain.from_iterable(_record_batches(export, *block) for block in blocks)
     write_parquet(path, batches, {**export.attributes, **export.study.attributes})
 
 
-def _rows(export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]) -> Iterator[Any]:
+def _record_batches(
+    export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]
+) -> Iterator[Any]:
     """The rows of a chunk as record batches."""
     coords = {}
     for name, values in export.stored.coordinates.items():

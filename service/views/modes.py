@@ -1,4 +1,4 @@
-"""Mode maps: outcome and mode of every cell of the (omega, gamma) plane at one xi, and hysteresis."""
+"""Mode maps: outcome and mode of every cell of the plane (omega, gamma) at one xi, and hysteresis."""
 
 from collections.abc import Mapping
 from enum import IntEnum
@@ -13,7 +13,7 @@ from pydantic import Field
 from kernel.modes import counted
 from kernel.params import Outcome
 from service.errors import InvalidRequest
-from service.pictures import draw_modes, set_scales
+from service.pictures import by_direction, draw_modes, set_scales
 from service.views import selection
 from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
@@ -23,16 +23,15 @@ from worker.sweep.schema import COMPUTED, OUTCOME
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Flights of cells with one mode are those of different cycles if they differ by more than this, rad, when
-#: sorted. A cycle is found when its flights repeat within 1e-6 rad; beside a fold they are still 1e-4 away
-#: from where they settle.
+#: Cells of one mode are on different cycles if their sorted flights differ by more than this, rad. A cycle is
+#: found when its flights repeat within 1e-6 rad; near a fold they may still be 1e-4 from their limit.
 OTHER_FLIGHTS: Final = 1e-3
 
-#: Outcomes that say nothing of the attractor: such cells are not compared.
+#: Outcomes that do not identify an attractor. Such cells are not compared.
 _UNKNOWN: Final = (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED, Outcome.SETTLING)
 
-#: Flights of both directions that are compared at a time, and bytes of memory of each: time and phase, what
-#: counts, and their order.
+#: Flights of both directions that are compared at a time, and bytes of memory of each: time, phase, whether
+#: it counts, and the order.
 _COMPARED: Final = selection.MAX_READ // 4
 _PER_COMPARED: Final = 48
 
@@ -46,11 +45,11 @@ Window = dict[str, slice]
 
 
 class Hysteresis(IntEnum):
-    """How a cell's two directions compare."""
+    """The difference between a cell's two directions."""
 
-    NONE = 0  # they agree, or one of them is not known
-    MODE = 1  # other outcomes or modes
-    FLIGHTS = 2  # one mode, other flights
+    NONE = 0  # they agree, or one of them is unknown
+    MODE = 1  # different outcomes or modes
+    FLIGHTS = 2  # the same mode with different flights
 
 
 class ModesQuery(Query):
@@ -96,7 +95,7 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
     attrs: dict[str, Any] = {
         "min_flight": selection.shortest(spec, query.min_flight), "every": query.every,
         "model": spec.model.kind,
-        "complete": all(study.is_complete(each["outcome"]) for each in cells.values()),
+        "complete": all(study.is_complete(arrays["outcome"]) for arrays in cells.values()),
     }  # fmt: skip
     attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     if query.hide is not None:
@@ -112,7 +111,7 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
 
 
 def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:
-    """The arrays of a plane with the cells of classes to hide as if they were missing."""
+    """The arrays of a plane, with the cells of hidden classes as missing."""
     hidden = selection.hidden_cells(arrays, hide)
     missing = dict.fromkeys((selection.LABEL.name, *schema.MODE_ARRAYS), 0.0)
     missing |= {row.name: np.nan for row in schema.CERTIFICATE}
@@ -132,7 +131,7 @@ def _window(spec: SweepSpec, query: ModesQuery) -> Window:
 
 
 def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
-    """All cells of the plane. Raises InvalidRequest for a plane that the sweep does not have."""
+    """All cells of the plane. Raises InvalidRequest if the sweep lacks the plane or a variable."""
     selection.nearest_index(spec, "xi", query.xi)
     directions, window = selection.directions_of(spec, query.direction), _window(spec, query)
     lengths = {axis: part.stop - part.start for axis, part in window.items()}
@@ -165,16 +164,16 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
 
 
 def comparison_memory(spec: SweepSpec) -> int:
-    """Bytes of memory that comparing the directions of a plane takes at most."""
+    """Most bytes of memory for comparing the directions of a plane."""
     row = len(spec.directions) * spec.keep * len(spec.axis_values("gamma"))
     return min(row * len(spec.axis_values("omega")), max(_COMPARED, row)) * _PER_COMPARED
 
 
 def _computed_share(study: selection.Stored[SweepSpec], xi: int, direction: str) -> float:
-    """The share of an adaptive map's cells at one xi that were computed, of those done.
+    """The share of computed cells among the done cells of an adaptive map at one xi.
 
-    Of every cell, also where an answer is thinned: rows and columns of a thinned one are those of blocks'
-    corners, most of which are computed.
+    It counts all cells, even for a thinned answer, whose rows and columns have the corners of blocks, most of
+    which are computed.
     """
     spec = study.spec
     done = computed = 0
@@ -191,7 +190,7 @@ def _computed_share(study: selection.Stored[SweepSpec], xi: int, direction: str)
 def _hysteresis(
     study: selection.Stored[SweepSpec], xi: int, window: Window, min_flight: float | None
 ) -> tuple[NDArray[np.uint8], bool]:
-    """`compare` of the cells of a window, some rows at a time, and whether all are computed both ways."""
+    """`compare` for the cells of a window, some rows at a time, and whether all are computed both ways."""
     spec = study.spec
     names = {*selection.arrays_of_modes(spec, min_flight), "flight_time", "flights"}
     rows, columns = (range(len(spec.axis_values(axis)))[window[axis]] for axis in _PLANE)
@@ -217,8 +216,8 @@ def compare(
 ) -> NDArray[np.uint8]:
     """A `Hysteresis` for each cell, in the shape of `outcome`.
 
-    up, down: `outcome`, `bounces`, `periods` (...) as counted with `min_flight`, rad, the stored
-    `flight_time` (..., keep), rad, and `flights` (...). Cells without a cycle both ways agree: their flights
+    up, down: `outcome`, `bounces`, `periods` (...) counted with `min_flight`, rad, and the stored
+    `flight_time` (..., keep), rad, and `flights` (...). Two cells without a cycle agree, as their flights
     never repeat.
     """
     known = ~np.isin(up["outcome"], _UNKNOWN) & ~np.isin(down["outcome"], _UNKNOWN)
@@ -239,7 +238,10 @@ def compare(
 def _last(
     times: NDArray[np.float64], flights: NDArray[np.int32], count: int, min_flight: float
 ) -> NDArray[np.float64]:
-    """(n, count) the last flights that count of stored ones (n, keep), sorted; NaN where there are fewer."""
+    """The last `count` flights that count, sorted, (n, count), rad; NaN where there are fewer.
+
+    times (n, keep), rad, and flights (n,): as stored.
+    """
     counts = counted(times, flights, min_flight)
     order = np.argsort(counts, axis=1, kind="stable")[:, -count:]
     last = np.where(np.take_along_axis(counts, order, 1), np.take_along_axis(times, order, 1), np.nan)
@@ -247,8 +249,8 @@ def _last(
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """A map of each direction."""
-    ways = [result.isel(direction=i) for i in range(result.sizes.get("direction", 0))] or [result]
+    """Draw a map of each direction."""
+    ways = by_direction(result)
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
         draw_modes(axes, way)
         set_scales(axes, way)

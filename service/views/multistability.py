@@ -1,9 +1,9 @@
-"""The attractors of a stored study of multistability, matched over the plane of one xi.
+"""The attractors of a stored study of multistability, matched over the plane at one xi.
 
-Along gamma, two attractors of neighbouring cells are one if each leads to the other. What is one along a line
-is a branch. Branches of neighbouring lines are one attractor if, in most cells, mode and longest flight,
-within NEAR, agree best, as long as no attractor is twice in a cell. Attractors are numbered from 1 by their
-cells, those with most first.
+Along gamma, two attractors of neighbouring cells are the same if each leads to the other. They form a branch.
+In each cell, branches of neighbouring lines match if they have the same mode, and the nearest longest flights
+within NEAR. Branches that match in most cells join first, unless an attractor would be twice in a cell.
+Attractors are numbered from 1 by their number of cells.
 """
 
 from collections import Counter
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Cells of one answer, and bytes of memory of each while they are matched.
+#: Limit on the cells of an answer, and bytes of memory of each while they are matched.
 MAX_CELLS: Final = 2**16
 _PER_CELL: Final = 4096
 
-#: Cycles of neighbouring lines may be one attractor if their longest flights differ by at most this, rad.
+#: Cycles of neighbouring lines match only if their longest flights differ by at most this, rad.
 NEAR: Final = 1.0
 
 _PLANE: Final = ("omega", "gamma")
@@ -42,7 +42,7 @@ _NAMES: Final = (
 )  # fmt: skip
 _OF_PLACES: Final = ("fraction", "longest_flight", "flight_time")
 
-#: The variables; those of a place are of an attractor of a cell.
+#: The variables. A place is that of an attractor in a cell.
 _ROWS: Final = (
     row("count", (), "<i4", "attractors of the cell", comment="-1: not computed"),
     row("id", ("place",), "<i4", "attractor of the plane", comment="0: none"),
@@ -62,7 +62,7 @@ _ROWS: Final = (
         comment="0: none"),
 )  # fmt: skip
 
-_OF_EVENTS: Final = tuple(each.name for each in _ROWS if each.name.startswith("event_"))
+_OF_EVENTS: Final = tuple(array.name for array in _ROWS if array.name.startswith("event_"))
 
 _Arrays = Mapping[str, NDArray[Any]]
 
@@ -88,21 +88,21 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
         row = nearest_index(spec, "omega", query.omega).index
         rows = slice(row, row + 1)
     ids = _ids(arrays)
-    labels, shown, there = _labels(arrays, ids), ids[rows], ids[rows] > 0
+    labels, shown, exists = _labels(arrays, ids), ids[rows], ids[rows] > 0
     count = np.where(arrays["outcome"] == Outcome.MISSING, -1, arrays["attractor_count"])[rows]
     of_places: dict[str, NDArray[Any]] = {"id": shown, "label": labels[rows]}
     for name in ("fraction", "longest_flight"):
-        of_places[name] = np.where(there, arrays[name][rows], np.nan)
+        of_places[name] = np.where(exists, arrays[name][rows], np.nan)
     if query.omega is not None:
         times = read_stored(study, ("flight_time",), {"xi": xi.index, "omega": rows})["flight_time"]
-        of_places["flight_time"] = np.where(there[..., np.newaxis], times, np.nan)
-    places = max(1, int(np.count_nonzero(there, axis=-1).max()))
+        of_places["flight_time"] = np.where(exists[..., np.newaxis], times, np.nan)
+    places = max(1, int(np.count_nonzero(exists, axis=-1).max()))
     shown_places = {name: values[:, :, :places] for name, values in of_places.items()}
-    numbers = np.unique(shown[there])
+    numbers = np.unique(shown[exists])
     commonest = _commonest(ids, labels)
     columns: dict[str, Any] = {
         "attractor_label": [commonest[number] for number in numbers.tolist()],
-        "cells": np.bincount(shown[there])[numbers],
+        "cells": np.bincount(shown[exists])[numbers],
     }
     events = list(_events(spec, arrays, ids, labels, rows))
     columns |= {name: [event[i] for event in events] for i, name in enumerate(_OF_EVENTS)}
@@ -123,7 +123,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
 
 
 def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
-    """The plane or the line. Raises InvalidRequest as `nearest_index`, TooLarge for more than MAX_CELLS."""
+    """The plane or the line. Raises InvalidRequest as `nearest_index`, and TooLarge above MAX_CELLS."""
     nearest_index(spec, "xi", query.xi)
     _, omegas, gammas = spec.shape
     if omegas * gammas > MAX_CELLS:
@@ -139,7 +139,7 @@ def estimate(spec: MultistabilitySpec, query: MultistabilityQuery) -> Estimate:
 
 
 def _share(cells: NDArray[np.bool_]) -> float:
-    """Share of the computed cells; NaN if none is computed."""
+    """Share of the computed cells for which `cells` holds; NaN if none is computed."""
     return float(np.mean(cells)) if cells.size else np.nan
 
 
@@ -147,18 +147,21 @@ def _ids(arrays: _Arrays) -> NDArray[np.int64]:
     """The id of every stored attractor (omega, gamma, id); 0 where there is none."""
     branch = _branches(arrays)
     owner = _joined(branch, _votes(arrays, branch))
-    there = branch >= 0
-    owners, index, cells = np.unique(owner[branch[there]], return_inverse=True, return_counts=True)
+    exists = branch >= 0
+    owners, index, cells = np.unique(owner[branch[exists]], return_inverse=True, return_counts=True)
     order = np.lexsort((owners, -cells))
     number = np.empty(len(owners), np.int64)
     number[order] = np.arange(1, len(owners) + 1)
     ids = np.zeros(branch.shape, np.int64)
-    ids[there] = number[index]
+    ids[exists] = number[index]
     return ids
 
 
 def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> NDArray[np.int64]:
-    """Of each branch, the first branch of its attractor. Pairs join by votes, unless they share a cell."""
+    """For each branch the first branch of its attractor. Pairs with most votes join first.
+
+    Branches that share a cell do not join.
+    """
     cells: list[set[int]] = [set() for _ in range(int(branch.max(initial=-1)) + 1)]
     members = [[number] for number in range(len(cells))]
     owner = np.arange(len(cells))
@@ -177,36 +180,36 @@ def _joined(branch: NDArray[np.int64], votes: Mapping[tuple[int, int], int]) -> 
 def _branches(arrays: _Arrays) -> NDArray[np.int64]:
     """The branch of every stored attractor (omega, gamma, id), numbered line by line; -1: none."""
     places = np.arange(MAX_FOLLOWED)
-    there = places < arrays["attractor_count"][..., np.newaxis]
+    exists = places < arrays["attractor_count"][..., np.newaxis]
     before = np.maximum(arrays["next_down"].astype(np.int64) - 1, 0)
-    goes_on = there & (arrays["next_down"] > 0)
+    goes_on = exists & (arrays["next_down"] > 0)
     goes_on[:, 0] = False
     goes_on[:, 1:] &= np.take_along_axis(arrays["next_up"][:, :-1], before[:, 1:], axis=2) == places + 1
-    branch = np.where(there, np.cumsum(there & ~goes_on).reshape(there.shape) - 1, -1)
-    for j in range(1, there.shape[1]):
+    branch = np.where(exists, np.cumsum(exists & ~goes_on).reshape(exists.shape) - 1, -1)
+    for j in range(1, exists.shape[1]):
         same = np.take_along_axis(branch[:, j - 1], before[:, j], axis=1)
         branch[:, j] = np.where(goes_on[:, j], same, branch[:, j])
     return branch
 
 
 def _votes(arrays: _Arrays, branch: NDArray[np.int64]) -> Mapping[tuple[int, int], int]:
-    """In how many cells branches of neighbouring lines are nearest to each other."""
+    """For pairs of branches of neighbouring lines, the number of cells in which they match."""
     votes: Counter[tuple[int, int]] = Counter()
-    there = branch >= 0
+    exists = branch >= 0
     for i in range(1, len(branch)):
         for j in range(branch.shape[1]):
-            for k, before in _nearest(arrays, there, i, j):
+            for k, before in _nearest(arrays, exists, i, j):
                 votes[int(branch[i - 1, j, before]), int(branch[i, j, k])] += 1
     return votes
 
 
-def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
-    """Pairs of attractors of the cells (i, j) and (i - 1, j): of one mode, the nearest flights first."""
+def _nearest(arrays: _Arrays, exists: NDArray[np.bool_], i: int, j: int) -> Iterator[tuple[int, int]]:
+    """Matching attractors of the cells (i, j) and (i - 1, j): of the same mode, nearest flights first."""
     longest = arrays["longest_flight"]
     pairs = sorted(
         (abs(float(longest[i, j, k] - longest[i - 1, j, before])), k, before)
-        for k in np.flatnonzero(there[i, j]).tolist()
-        for before in np.flatnonzero(there[i - 1, j]).tolist()
+        for k in np.flatnonzero(exists[i, j]).tolist()
+        for before in np.flatnonzero(exists[i - 1, j]).tolist()
         if all(arrays[name][i, j, k] == arrays[name][i - 1, j, before] for name in _MODE)
     )
     taken, taken_before = set[int](), set[int]()
@@ -219,10 +222,10 @@ def _nearest(arrays: _Arrays, there: NDArray[np.bool_], i: int, j: int) -> Itera
 
 
 def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:
-    """What every stored attractor does; empty where there is none."""
-    labels, there = np.full(ids.shape, "", object), ids > 0
-    modes = zip(*(arrays[name][there].tolist() for name in _MODE), strict=True)
-    labels[there] = [attractor_label(*mode) for mode in modes]
+    """The label of every stored attractor; empty where there is none."""
+    labels, exists = np.full(ids.shape, "", object), ids > 0
+    modes = zip(*(arrays[name][exists].tolist() for name in _MODE), strict=True)
+    labels[exists] = [attractor_label(*mode) for mode in modes]
     return labels
 
 
@@ -236,14 +239,14 @@ def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int,
 def _events(
     spec: MultistabilitySpec, arrays: _Arrays, ids: NDArray[np.int64], labels: Any, rows: slice
 ) -> Iterator[tuple[Any, ...]]:
-    """Births, deaths and changes of mode between computed cells of some lines, as _OF_EVENTS."""
+    """Births, deaths and changes of mode between computed cells of the lines `rows`, as _OF_EVENTS."""
     computed = arrays["outcome"] != Outcome.MISSING
     omega, gamma = (spec.axis_values(axis).tolist() for axis in _PLANE)
     for i in range(len(omega))[rows]:
         for j in np.flatnonzero(computed[i, :-1] & computed[i, 1:]).tolist():
             below, above = (
-                {n: label for n, label in zip(ids[i, cell].tolist(), labels[i, cell], strict=True) if n}
-                for cell in (j, j + 1)
+                {n: label for n, label in zip(ids[i, k].tolist(), labels[i, k], strict=True) if n}
+                for k in (j, j + 1)
             )
             for number in sorted(below.keys() | above.keys()):
                 before, after = below.get(number, ""), above.get(number, "")
@@ -251,9 +254,9 @@ def _events(
                     continue
                 kind, leads_to = "mode", 0
                 if not before or not after:
-                    kind, there, other = ("death", j, j + 1) if before else ("birth", j + 1, j)
-                    leads = arrays["next_up" if before else "next_down"][i, there]
-                    reached = int(leads[ids[i, there] == number][0])
+                    kind, cell, other = ("death", j, j + 1) if before else ("birth", j + 1, j)
+                    leads = arrays["next_up" if before else "next_down"][i, cell]
+                    reached = int(leads[ids[i, cell] == number][0])
                     leads_to = int(ids[i, other, reached - 1]) if reached > 0 else 0
                 yield kind, number, omega[i], gamma[j], gamma[j + 1], before, after, leads_to
 
@@ -262,12 +265,12 @@ def _events(
 COUNTS: Final[tuple[str, ...]] = tuple(pictures.PALETTE["attractor_counts"])
 _OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
 
-#: Colours by id: none, one of their own for those with most cells, and that of all others.
+#: Colours by id: for none, for the attractors with most cells, and for all others.
 _BY_ID: Final = (pictures.UNDECIDED, *pictures.ATTRACTORS, pictures.OTHER_ATTRACTORS)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Two maps, of the number of attractors and of the one that most drops reach; of a line its flights."""
+    """Draw two maps, the number of attractors and the one that most drops reach; or the flights of a line."""
     if "flight_time" in result:
         _draw_line(result, figure.subplots())
         return
@@ -289,13 +292,11 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     right.set_xlabel(pictures.SYMBOLS["gamma"])
     left.set_title(f"attractors of a cell{share}", fontsize=11)
     right.set_title("the attractor that most drops reach", fontsize=11)
-    figure.suptitle(
-        f"{pictures.SYMBOLS['xi']} = {result.xi.item():g}  ({result.attrs['model']})", fontsize=11
-    )
+    figure.suptitle(f"{pictures.values_at(result, ['xi'])}  ({result.attrs['model']})", fontsize=11)
 
 
 def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
-    """The flights of each attractor in its colour, at 0 without any."""
+    """Draw the flights of each attractor in its colour; an attractor at rest has a point at 0."""
     ids, times = result.id.values[0], result.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
     gamma = np.broadcast_to(result.gamma.values[:, np.newaxis, np.newaxis], times.shape)
@@ -305,7 +306,7 @@ def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
         colour = _BY_ID[min(number, len(_BY_ID) - 1)]
         axes.plot(gamma[shown], times[shown], ".", color=colour, markersize=size, markeredgewidth=0.0)
     axes.set(xlabel=pictures.SYMBOLS["gamma"], ylabel=pictures.FLIGHT)
-    values = ", ".join(f"{pictures.SYMBOLS[axis]} = {result[axis].item():g}" for axis in ("omega", "xi"))
+    values = pictures.values_at(result, ("omega", "xi"))
     axes.set_title(f"coexisting attractors, {values}  ({result.attrs['model']})", fontsize=11)
     _name_attractors(axes, result)
 

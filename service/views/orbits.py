@@ -1,7 +1,7 @@
-"""Branches of cycles: of a spring, in closed form or of any contact, and of those that cells settled to.
+"""Branches of cycles: of a spring, in closed form or on a contact; and of the cycles to which cells settled.
 
-Also what they share with curves: variables, parameters, and records made into variables. A branch or curve
-is a row along the first dimension, padded beyond its last point.
+Also the parameters and variables that branches share with curves. A branch or curve is a row along the first
+dimension, padded beyond its last point.
 """
 
 from collections.abc import Mapping, Sequence
@@ -47,15 +47,7 @@ from worker.analysis.cycles import (
 )
 from worker.analysis.prediction import branch_seconds
 from worker.orbits.schema import ARRAYS, KINDS
-from worker.orbits.specification import (
-    DIMS,
-    MAX_GRID,
-    MAX_POINTS,
-    Mode,
-    OrbitsSpec,
-    check_modes,
-    read_mode,
-)
+from worker.orbits.specification import DIMS, MAX_GRID, MAX_POINTS, Mode, OrbitsSpec, check_modes, read_mode
 from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
 from worker.spec.errors import BrokenRuleError, SpecInvalid
 from worker.study import Array
@@ -74,11 +66,11 @@ Record = TypeVar("Record", Branch, Events)
 
 #: `violations` beyond the last point of a branch or curve.
 MISSING_POINT: Final = 255
-#: Of each branch, and the energy balance of a cycle.
+#: Variables of each branch, and of the energy balance of a cycle.
 BRANCH: Final = ("branch_bounces", "branch_periods", "points")
-BALANCE: Final = tuple(each.name for each in ENERGY)
+BALANCE: Final = tuple(array.name for array in ENERGY)
 
-#: Branches and estimates kept in a process, those requested last.
+#: Branches and estimates kept in a process; the least recently used ones are dropped.
 KEPT: Final = 64
 
 #: Real and imaginary part of both multipliers.
@@ -92,12 +84,12 @@ def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
     )
 
 
-_STORED: Final = {each.name: each for each in ARRAYS}
+_STORED: Final = {array.name: array for array in ARRAYS}
 
-#: The variables by name: those that the study `orbits` stores, and others.
+#: The variables by name: those that a study of orbits stores, and others.
 ROWS: Final[Mapping[str, Array]] = _STORED | {
-    each.name: each
-    for each in (
+    array.name: array
+    for array in (
         _STORED["gamma"]._replace(attrs=COORDINATES["gamma"] | {"comment": "NaN: no point"}),
         _STORED["violations"]._replace(fill=MISSING_POINT, attrs=_STORED["violations"].attrs | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
@@ -130,7 +122,7 @@ EVENTS: Final = tuple(ROWS[f"event_{name}"] for name in _EVENT)
 def padded(
     names: Sequence[str], records: Sequence[Any], dims: tuple[str, ...] = ("branch", "point")
 ) -> dict[str, xarray.Variable]:
-    """These fields of every record, of the length of the longest."""
+    """Fields of all records as variables, padded to the longest record."""
     return {
         name: _padded(ROWS[name], [_field(record, name) for record in records],
                       (*dims, *_PARTS) if name == "multipliers" else dims)
@@ -139,8 +131,9 @@ def padded(
 
 
 def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -> xarray.Variable:
+    """Arrays as the rows of a variable. Raises TooLarge."""
     lengths = [
-        max((each.shape[i] for each in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
+        max((x.shape[i] for x in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
     ]
     if (size := prod((len(values), *lengths))) > selection.MAX_READ:
         raise TooLarge(
@@ -148,19 +141,19 @@ def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...])
             f"{selection.MAX_READ:,}: take a shorter range, or fewer kinds or modes"
         )
     table = np.full((len(values), *lengths), np.nan if about.dtype == "<f8" else about.fill, about.dtype)
-    for line, each in zip(table, values, strict=True):
-        line[tuple(map(slice, each.shape))] = each
+    for line, value in zip(table, values, strict=True):
+        line[tuple(map(slice, value.shape))] = value
     return xarray.Variable(dims, table, dict(about.attrs))
 
 
 def columns(thing: str, fields: Mapping[str, Any]) -> dict[str, xarray.Variable]:
-    """The fields of a list of events, branches, curves or cells."""
+    """Fields of a list of events, branches, curves or cells as variables."""
     names = {field: f"{thing}_{field}" for field in fields}
     return {name: variable((), fields[field], ROWS[name]) for field, name in names.items()}
 
 
 def event_columns(events: Events) -> dict[str, xarray.Variable]:
-    """The variables of EVENTS."""
+    """Events as the variables EVENTS."""
     return columns("event", {name: _field(events, name) for name in _EVENT})
 
 
@@ -171,7 +164,7 @@ def _field(record: Any, name: str) -> NDArray[Any]:
 
 
 def of_branches(records: Sequence[Branch]) -> dict[str, xarray.Variable]:
-    """Mode and length of each branch; the median where bounces change along it."""
+    """Mode and number of points of each branch; the median where bounces change along it."""
     bounces = [int(np.median(x.bounces)) for x in records]
     lengths = {"bounces": bounces, "periods": [x.periods for x in records]}
     points = variable((), [len(x.gamma) for x in records], ROWS["points"])
@@ -179,19 +172,16 @@ def of_branches(records: Sequence[Branch]) -> dict[str, xarray.Variable]:
 
 
 def closed_form(
-    data: Mapping[str, xarray.Variable],
-    coords: Mapping[str, xarray.Variable],
-    complete: bool = True,
-    model: str = IDEAL,
-    **attrs: Any,
-) -> xarray.Dataset:
-    """A result with the attributes of all of them."""
+    data: Mapping[str, xarray.Variable], coords: Mapping[str, xarray.Variable], complete: bool = True,
+    model: str = IDEAL, **attrs: Any,
+) -> xarray.Dataset:  # fmt: skip
+    """A result on branches or curves, with the attributes of all of them."""
     part = xarray.Variable(("part",), np.array(["real", "imaginary"]))
     return dataset(data, {**coords, "part": part}, {"model": model, **attrs, "complete": complete})
 
 
 def parse_modes(text: str) -> tuple[Mode, ...]:
-    """Modes written as `1-1,1-2`: bounces and plate periods, of one bounce each. Raises InvalidRequest."""
+    """Modes of one bounce, written as bounces and plate periods: `1-1,1-2`. Raises InvalidRequest."""
     try:
         modes = [read_mode(part.strip()) for part in text.split(",")]
         check_modes(modes)
@@ -200,9 +190,9 @@ def parse_modes(text: str) -> tuple[Mode, ...]:
     return tuple(sorted(modes))
 
 
-@lru_cache(KEPT)  # as _seconds
+@lru_cache(KEPT)  # called several times for an answer
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
-    """Flight times of a branch. Raises InvalidRequest above MAX_GRID, and for a spring without branches."""
+    """Number of flight times of a branch. Raises InvalidRequest above MAX_GRID, and if there is no branch."""
     try:
         needed = len(flight_times(omega, xi, periods, points))
     except KernelInputError as error:
@@ -221,13 +211,14 @@ def below(record: Record, gamma_max: float) -> list[Record]:
     return [rows_of(record, slice(*part)) for part in stretches(record.gamma <= gamma_max)]
 
 
-#: Branches of a mode on a contact with restitution, and core-seconds that one answer may take.
+#: Estimated branches of a mode on a contact, and limit on the core-seconds of an answer.
 _FAMILIES: Final = 3
 MAX_SECONDS: Final = 60.0
 
-_COUNT_SECONDS: Final = 0.3  # core-seconds in which a branch's folds and flips are counted, by periods/omega
+#: Core-seconds for counting a branch's folds and flips, times periods/omega.
+_COUNT_SECONDS: Final = 0.3
 
-#: Bytes of a point of a branch, with what is computed on the way to it.
+#: Bytes of memory for a point of a branch, with those computed on the way to it.
 _PER_POINT: Final = 4_000
 
 _OF_POINT: Final = (
@@ -274,7 +265,7 @@ class OrbitsQuery(ContactQuery):
 
 
 def contact(query: ContactQuery) -> Rigid | Soft | None:
-    """The contact whose cycles are followed; None: the closed form. Raises InvalidRequest."""
+    """The contact whose cycles are followed; None for the closed form. Raises InvalidRequest."""
     given = query.model_dump(include={"model", *_OF_CONTACT}, exclude_defaults=True)
     if "model" not in given:
         if given:
@@ -288,7 +279,7 @@ def contact(query: ContactQuery) -> Rigid | Soft | None:
 
 
 def name_of(plate: Rigid | Soft) -> str:
-    """A contact and its parameters."""
+    """A contact and its parameters as text."""
     name = f"{plate.kind}, restitution {plate.restitution:g}"
     if isinstance(plate, Rigid):
         return name
@@ -296,28 +287,28 @@ def name_of(plate: Rigid | Soft) -> str:
 
 
 def orbit_parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
-    """The branches of each mode: of a contact, or those that take longer than AT_ONCE_SECONDS together."""
-    plate, top = contact(query), query.gamma_max
-    if plate is not None and query.gamma is not None:
-        cell, here = Cell(query.gamma, query.omega, query.xi), getattr(query, query.along)
-        span = 0.5 * here, 2.0 * here
-        return [
-            (follow_along, plate, cell, periods, query.along, span, points, query.doubled)
-            for _, _, periods, points in _grids(query)
-        ]
-    if plate is not None:
-        grids = _grids(query)
+    """The branches of each mode, on a contact; in closed form if together they exceed AT_ONCE_SECONDS."""
+    plate, grids = contact(query), _grids(query)
+    if plate is None:
+        return [(branch_and_events, *grid) for grid in grids] if _seconds(query) > AT_ONCE_SECONDS else []
+    if query.gamma is None:
+        top = query.gamma_max
         return [(follow_cycles, plate, *spring, top, points, query.doubled) for *spring, points in grids]
-    quick = _seconds(query) <= AT_ONCE_SECONDS
-    return [] if quick else [(branch_and_events, *grid) for grid in _grids(query)]
+    cell, value = Cell(query.gamma, query.omega, query.xi), getattr(query, query.along)
+    span = 0.5 * value, 2.0 * value
+    return [
+        (follow_along, plate, cell, periods, query.along, span, points, query.doubled)
+        for _, _, periods, points in grids
+    ]
 
 
-@lru_cache(KEPT)  # one answer takes it several times
+@lru_cache(KEPT)  # called several times for an answer
 def _seconds(query: OrbitsQuery) -> float:
+    """Core-seconds of the branches in closed form."""
     return sum(branch_seconds(*grid) for grid in _grids(query))
 
 
-@lru_cache(KEPT)  # as _seconds
+@lru_cache(KEPT)  # called several times for an answer
 def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
     """Spring, plate periods and points of each branch."""
     return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
@@ -368,7 +359,7 @@ def compute_orbits(
 
 
 def _with_flights(branches: Sequence[Branch]) -> dict[str, xarray.Variable]:
-    """Their points, `flight_time` with all flights."""
+    """The points of branches, with all flights in `flight_time`."""
     flights = padded(("flight_time",), branches, ("branch", "point", "flight"))
     return padded(_OF_CELLS, branches) | flights
 
@@ -379,7 +370,8 @@ _branch = lru_cache(KEPT)(branch_and_events)
 def estimate_orbits(spec: None, query: OrbitsQuery) -> Estimate:
     """All points of the branches.
 
-    Raises InvalidRequest for a branch that is too long, or not there, and above MAX_SECONDS.
+    Raises InvalidRequest for parameters that exclude each other, for a branch that is too long or does not
+    exist, and above MAX_SECONDS.
     """
     lengths = [grid_length(*grid) for grid in _grids(query)]
     plate = contact(query)
@@ -418,11 +410,11 @@ SPRING: Final = View(
 )  # fmt: skip
 
 
-#: Where followed branches are cut by default.
+#: Γ at which followed branches are cut by default.
 GAMMA_MAX: Final = 8.0
-#: Bytes of an answer.
+#: Estimated bytes of an answer.
 _MEMORY: Final = 16 * 2**20
-#: Of a line without a computed cell.
+#: The branches of a line without a computed cell.
 _NONE: Final = FollowedCycles((), ())
 
 _OF_CELLS: Final = (*(name for name in _OF_POINT if name != "flight_time"), "flights")
@@ -441,7 +433,7 @@ class CellsQuery(Query):
 
 
 def contact_of(spec: SweepSpec) -> Rigid | Soft:
-    """The contact of a sweep whose cycles are followed. Raises InvalidRequest."""
+    """The contact of a sweep, if its cycles can be followed. Raises InvalidRequest."""
     rule = "cycles are followed of rigid and soft contacts"
     if not isinstance(spec.model, Rigid | Soft):
         raise InvalidRequest.of("model", f"{rule}; the sweep's is {spec.model.kind}")
@@ -452,28 +444,28 @@ def contact_of(spec: SweepSpec) -> Rigid | Soft:
     return spec.model
 
 
-def _line(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
+def _direction_and_spring(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
     """Direction and spring of the cells. Raises InvalidRequest."""
     contact_of(spec)
-    spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in ("omega", "xi")}
+    spring = selection.nearest_values(spec, query, ("omega", "xi"))
     return selection.directions_of(spec, query.direction)[0], spring
 
 
 def cell_parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call]:
-    """The branches of one line of a sweep, unless nothing is stored yet.
+    """The branches of one line of a sweep; none if nothing is stored yet.
 
-    Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
+    Raises OutdatedJob for a sweep of another kernel version, whose states this release does not continue.
     """
     if isinstance(study.spec, OrbitsSpec):
         return []
-    selection.check_kernel(study.kernel_version)
+    selection.check_kernel(study)
     try:
-        store.stored_forms(study.url, study.forms)  # raises for a store laid out otherwise
+        store.stored_forms(study.url, study.forms)  # checks the store
     except store.StoreMissing as error:
         if study.begun:
             raise store.StoreDamaged(str(error)) from error
         return []
-    direction, spring = _line(study.spec, query)
+    direction, spring = _direction_and_spring(study.spec, query)
     indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
     top = query.gamma_max or GAMMA_MAX
     return [(follow_cells, study.spec, study.url, *indices, top, study.complete, query.doubled)]
@@ -491,7 +483,7 @@ def compute_cells(
     """
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)
-    direction, spring = _line(study.spec, query)
+    direction, spring = _direction_and_spring(study.spec, query)
     data = _with_flights(cycles.branches)
     data |= event_columns(join_events(cycles.events))
     on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
@@ -507,7 +499,7 @@ def compute_cells(
 def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
     """Branches and events of one spring of a study of orbits."""
     spec, top = study.spec, query.gamma_max or study.spec.gamma_max
-    spring = {axis: selection.nearest_index(spec, axis, getattr(query, axis)) for axis in DIMS}
+    spring = selection.nearest_values(spec, query, DIMS)
     x = selection.read_stored(study, tuple(_STORED), {axis: point.index for axis, point in spring.items()})
     x["multiplier"] = np.stack([x["multiplier"], x["other_multiplier"]], axis=-1)
     one = np.ones(spec.points, np.int32)
@@ -528,15 +520,14 @@ def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> 
 
 
 def estimate_cells(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
-    """The points of as many branches as are followed. Raises InvalidRequest for a line that is not there."""
+    """The points of all branches that may be followed. Raises InvalidRequest if the job lacks the line."""
     if isinstance(spec, OrbitsSpec):
         for name in ("direction", "doubled"):
             if getattr(query, name):
                 raise InvalidRequest.of(name, "is of the cells of a sweep; this study is of kind orbits")
-        for axis in DIMS:
-            selection.nearest_index(spec, axis, getattr(query, axis))
+        selection.nearest_values(spec, query, DIMS)
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
-    _line(spec, query)
+    _direction_and_spring(spec, query)
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 

@@ -1,7 +1,7 @@
 """The plan of a sweep: what each effort and grid would cost, and how much of its picture would be wrong."""
 
 from collections.abc import Callable, Sequence
-from math import inf
+from math import inf, prod
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
@@ -23,9 +23,9 @@ from worker.sweep.specification import EFFORTS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Shares of the cells of the grids that are compared.
+#: Parts of the sweep's cells that the compared grids have.
 PARTS: Final = (1.0, 1 / 4, 1 / 16, 1 / 64)
-#: The share of the plane that may be wrong where nothing else is asked for.
+#: By default, the share of the plane that may be wrong.
 TOLERANCE: Final = 0.05
 
 _ROWS: Final = (
@@ -44,7 +44,7 @@ _ROWS: Final = (
 
 
 class PlanQuery(Query):
-    """What the recommended setting keeps to."""
+    """Limits on the recommended setting."""
 
     budget: Annotated[Number, Field(gt=0)] | None = Field(None, description="s that it takes at most")
     tolerance: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
@@ -54,27 +54,30 @@ class PlanQuery(Query):
 
     @property
     def kept(self) -> float | None:
-        """The tolerance."""
+        """The tolerance, or its default without a budget."""
         return TOLERANCE if self.tolerance is None and self.budget is None else self.tolerance
 
 
 def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int) -> list[Setting]:
-    """The settings that are compared, the most thorough first. Raises SpecInvalid."""
+    """The settings to compare, the most thorough first. Raises SpecInvalid.
+
+    cost: estimates a sweep. workers: number of workers that share the work.
+    """
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
-        whole = _with_effort(spec, effort)
+        whole = SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
         core_seconds = cost(whole).core_seconds
         for part in PARTS:
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
             share = cells(whole, steps) / cells(whole, WHOLE)
-            chosen.append(Setting(whole, steps, core_seconds * share / max(workers, 1)))
+            chosen.append(Setting(whole, steps, core_seconds * share / max(workers, 1), effort))
     return chosen
 
 
 def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
-    """The pilot. Raises InvalidRequest for a ramp, whose cells depend on those before them, and TooLarge."""
+    """The pilot points. Raises InvalidRequest for a ramp, whose cells depend on each other, and TooLarge."""
     if settings[0].spec.ramp_axis is not None:
         rule = "must be rest: cells of a ramp depend on those before; compute it with a budget, or audit it"
         raise InvalidRequest.of("protocol.kind", rule)
@@ -85,19 +88,20 @@ def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
     return [(plan, tuple(settings), query.budget, query.kept, query.seed)]
 
 
-def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Share], int]) -> xarray.Dataset:
+def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Share], int]) -> xarray.Dataset:
     """The table of a plan."""
-    shares, chosen = found
-    specs = [level(each.spec, each.steps) for each in settings]
+    shares, chosen = result
+    specs = [level(setting.spec, setting.steps) for setting in settings]
+    sizes = [prod(spec.shape) for spec in specs]
     data: dict[str, Any] = {
-        "effort": [_effort(each.spec) for each in settings],
+        "effort": [setting.effort for setting in settings],
         "grid": [" × ".join(map(str, spec.shape[1:])) for spec in specs],
-        "cells": [int(np.prod(spec.shape)) for spec in specs],
-        "seconds": [each.seconds for each in settings],
+        "cells": sizes,
+        "seconds": [setting.seconds for setting in settings],
         "share": [share.share for share in shares],
         "low": [share.low for share in shares],
         "high": [share.high for share in shares],
-        "bytes": [bytes_per_cell(spec) * int(np.prod(spec.shape)) for spec in specs],
+        "bytes": [bytes_per_cell(spec) * size for spec, size in zip(specs, sizes, strict=True)],
         "frontier": frontier(settings, shares),
         "recommended": [i == chosen for i in range(len(settings))],
         "spec": [spec.model_dump_json() for spec in specs],
@@ -110,30 +114,20 @@ def compute(settings: Sequence[Setting], query: PlanQuery, found: tuple[list[Sha
     return dataset(variables(_ROWS, data), {}, attrs)
 
 
-def _with_effort(spec: SweepSpec, effort: str) -> SweepSpec:
-    """The sweep with the windows of an effort."""
-    return SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
-
-
-def _effort(spec: SweepSpec) -> str:
-    """The effort whose windows a sweep has."""
-    return next(name for name in EFFORTS if _with_effort(spec, name) == spec)
-
-
-def draw(found: xarray.Dataset, axes: "Axes") -> None:
-    """The share wrong against the time of each setting, the frontier joined, the recommended one named."""
+def draw(result: xarray.Dataset, axes: "Axes") -> None:
+    """Draw the share shown wrong over the time of each setting, with the frontier and the recommended one."""
     axes.set(xscale="log", xlabel="time (s)", ylabel="share of the plane shown wrong")
-    order = np.argsort(found["seconds"].values)
-    seconds, share, low, high = (found[name].values[order] for name in ("seconds", "share", "low", "high"))
-    front = found["frontier"].values[order]
+    order = np.argsort(result["seconds"].values)
+    seconds, share, low, high = (result[name].values[order] for name in ("seconds", "share", "low", "high"))
+    front = result["frontier"].values[order]
     errors = np.clip([share - low, high - share], 0.0, None)
     axes.errorbar(seconds, share, errors, fmt="o", zorder=1, color="0.6", ecolor="0.8", markersize=4)
     axes.plot(seconds[front], share[front], "o-", color=ATTRACTORS[0], markersize=5)
-    for i in np.flatnonzero(found["recommended"].values):
-        name = f"{found['effort'].values[i]}, {found['grid'].values[i]}"
-        at = (found["seconds"].values[i], found["share"].values[i])
-        axes.plot(*at, "o", color=ATTRACTORS[1], markersize=8)
-        axes.annotate(name, at, (0, 10), textcoords="offset points", ha="right", **TEXT)
+    for i in np.flatnonzero(result["recommended"].values):
+        name = f"{result['effort'].values[i]}, {result['grid'].values[i]}"
+        point = (result["seconds"].values[i], result["share"].values[i])
+        axes.plot(*point, "o", color=ATTRACTORS[1], markersize=8)
+        axes.annotate(name, point, (0, 10), textcoords="offset points", ha="right", **TEXT)
     axes.set_ylim(bottom=0.0)
 
 

@@ -1,4 +1,4 @@
-"""What is proven of a spring's threshold, of its events, and of a cell's cycle, with the extra `proofs`."""
+"""Proofs of a spring's threshold, of its events, and of a cell's cycle. Need the extra `proofs`."""
 
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -16,9 +16,9 @@ from service.views.variables import row
 from worker.spec.contact_models import Rigid, Soft
 from worker.work import plate_of
 
-_MOST_PERIODS: Final = 12  # plate periods of the cycles that are looked for at a cell
-_SAME: Final = 1e-9  # rad between a counted event and the same in doubles
-_NEAR: Final = 1e-2  # how far a settled state's cycle may lie from the round that begins there, others beside
+_MOST_PERIODS: Final = 12  # most plate periods of the cycle of a cell
+_SAME: Final = 1e-9  # largest distance of a counted event from the computed one, rad
+_NEAR: Final = 1e-2  # largest distance of a settled state's cycle from the round that begins with the state
 
 OF_THRESHOLD: Final = (
     row("proof", (), "U", "proven, disproven, not proven or not covered"),
@@ -33,7 +33,7 @@ OF_CELL: Final = (
 
 
 def of_threshold(omega: float, xi: float, fold: Fold | None) -> dict[str, Any]:
-    """What is proven of the fold at which bouncing ends. Raises NotInstalled."""
+    """The variables OF_THRESHOLD, for the fold at which bouncing ends. Raises NotInstalled."""
 
     def prove() -> dict[str, Any]:
         from kernel.proofs import balls, branches
@@ -49,7 +49,7 @@ def of_threshold(omega: float, xi: float, fold: Fold | None) -> dict[str, Any]:
 
 
 def of_events(events: Events) -> NDArray[np.bool_]:
-    """Of each event of a (1,k) branch, whether all of its kind were counted. Raises NotInstalled."""
+    """For each event of a (1,k) branch, whether all of its kind were counted. Raises NotInstalled."""
     complete = np.zeros(len(events.kind), np.bool_)
 
     def count() -> dict[str, Any]:
@@ -69,7 +69,7 @@ def of_events(events: Events) -> NDArray[np.bool_]:
 
 
 def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dict[str, Any]:
-    """What is proven of the cycle near a state (6,). Raises NotInstalled."""
+    """The variables OF_CELL, for the cycle near a state (6,). Raises NotInstalled."""
 
     def prove() -> dict[str, Any]:
         from kernel.cycles.cycles import cycle_from
@@ -96,7 +96,7 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
 
 
 def _decided(prove: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What `prove` returns, with its verdict. Raises NotInstalled without the library of the proofs."""
+    """The result of `prove` with the verdict. Raises NotInstalled without the library for proofs."""
     if find_spec("flint") is None:
         raise NotInstalled('proofs need the extra proofs: pip install "bouncing-spring[proofs]"')
     from kernel.proofs.balls import NotProvenError

@@ -1,4 +1,4 @@
-"""Every result of the service. HTTP, client, command line and documents loop over VIEWS.
+"""All results of the service. HTTP, client, command line and documents loop over VIEWS and SPRINGS.
 
 A new result is a module of this package and a row here.
 """
@@ -49,7 +49,7 @@ SPRINGS: Final[dict[str, View]] = {
 
 
 def stored(job: JobRecord, prepared: PreparedJob) -> Stored[Any]:
-    """What a job of any kind computes and where its results are."""
+    """The specification of a job of any kind, and the address of its results."""
     done = job.state is JobState.DONE
     return Stored(
         prepared.spec.model_copy(update={"name": job.name}), prepared.store_url, done, job.kernel_version,
@@ -60,15 +60,15 @@ def stored(job: JobRecord, prepared: PreparedJob) -> Stored[Any]:
 def admit(
     view: View, spec: Any, query: Query, format: str, max_points: int, max_seconds: float = inf
 ) -> tuple[Query, Estimate]:
-    """The query and its estimate; a picture is thinned to what can be read.
+    """Check a query; returns it with its estimate. A picture's query is thinned to cells that can be read.
 
-    Raises InvalidRequest for a study without this result, TooLarge naming the `every` that fits.
+    Raises InvalidRequest for a study without this result, and TooLarge, which names the `every` that fits.
     """
     if view.study is not None and not isinstance(spec, view.study):
         names = [name for name, other in VIEWS.items() if other.study and isinstance(spec, other.study)]
-        there = f"; it has {', '.join(names)}" if names else ""
+        others = f"; it has {', '.join(names)}" if names else ""
         kind = spec.protocol.kind
-        raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{there}")
+        raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{others}")
     encode.check_format(format)
     estimate = view.estimate(spec, query)
     if estimate.seconds > max_seconds:
@@ -95,7 +95,7 @@ def admit(
 def answer(
     name: str, study: Stored[Any] | None, fields: Mapping[str, Any], format: str, parts: Sequence[Any] = ()
 ) -> tuple[bytes, bool]:
-    """The bytes of a result of a study, or of a spring, and whether it is complete.
+    """Compute a result of a study or a spring: its bytes, and whether it is complete.
 
     Arguments and result can be pickled. Raises as `View.compute`.
     """
@@ -105,13 +105,13 @@ def answer(
 
 
 def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
-    """The bytes of the motion of one cell without a job. Raises as `trajectory.motion`."""
+    """Compute the motion of one cell without a job: its bytes. Raises as `trajectory.motion`."""
     return encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
 
 
-def planned(settings: Sequence[Setting], query: plans.PlanQuery, found: Any, format: str) -> bytes:
+def planned(settings: Sequence[Setting], query: plans.PlanQuery, result: Any, format: str) -> bytes:
     """The bytes of the plan of a sweep."""
-    return encoded(plans.VIEW, None, plans.compute(settings, query, found), format)
+    return encoded(plans.VIEW, None, plans.compute(settings, query, result), format)
 
 
 def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:
@@ -126,5 +126,5 @@ def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str)
 
 
 def warm() -> None:
-    """Import what most answers need: this module did, but xarray imports Dask with its first Dataset."""
+    """Import Dask, which xarray does with its first Dataset; this module has imported the rest."""
     Dataset({"x": ("x", [0])})

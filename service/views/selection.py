@@ -1,12 +1,13 @@
 """Selects and reads cells of a stored study: grid indices, directions, thinning, and which flights count.
 
-Flights up to `min_flight` do not count, unless all of a cell are so short. The default is the `micro_flight`
-the sweep was classified with; for another value outcome and mode are found anew from the stored flights.
+Flights up to `min_flight` do not count, unless a cell has no longer ones. The default is the `micro_flight`
+with which the sweep was classified. For another value, outcome and mode are found anew from the stored
+flights.
 """
 
 import json
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any, Final, Generic, TypeVar
@@ -29,13 +30,13 @@ from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
 
-#: Flights, or outcomes, held in memory for one picture or one summary; longer lines are thinned.
+#: Limit on the flights, or outcomes, held in memory for a picture or a summary; longer lines are thinned.
 MAX_READ: Final = 8_000_000
 
-#: Bytes of memory that reading takes beside the arrays of the answer: chunks, before a part of them is kept.
+#: Bytes of memory for reading, beside the arrays of the answer: whole chunks of which a part is kept.
 BASE_MEMORY: Final = 16 * 2**20
 
-#: Rounding that is forgiven at the ends of an axis, relative to the larger of its two ends.
+#: Tolerance at the ends of an axis, relative to the larger end.
 ROUNDING: Final = 1e-9
 
 #: Indices by cell dimension: an integer drops the dimension, a slice keeps it.
@@ -44,7 +45,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 _Spec_co = TypeVar("_Spec_co", bound=Specification, covariant=True)
 
-#: What an answer has beside the stored arrays where exponents are stored.
+#: The variable that answers have beside the stored arrays, if exponents are stored.
 LABEL: Final = Array(
     "label", CELL_DIMS, "|u1", 0,
     {
@@ -63,15 +64,15 @@ class Stored(Generic[_Spec_co]):
     spec: _Spec_co
     url: str
     complete: bool = False  # the job is done: a missing chunk is damage, not work to come
-    kernel_version: str = KERNEL_VERSION  # that computed it
+    kernel_version: str = KERNEL_VERSION  # that computed the job
     repairing: bool = False  # damage was found: no answer is complete until the job is done again
-    job: str | None = None  # its id
+    job: str | None = None  # id of the job
     chunks_done: int = 0
-    #: How its arrays are stored; None of another kernel version, whose store alone knows.
+    #: Forms of the stored arrays; None for another kernel version, whose forms only the store knows.
     forms: Sequence[Mapping[str, store.ArrayForm]] | None = None
     submitted: Any = None  # the specification as submitted, perhaps with the contact `auto`
-    audit: str | None = None  # what its last audit says; for files and pictures
-    other: "Stored[Any] | None" = None  # the study that it is compared with
+    audit: str | None = None  # sentence of the last audit, for files and pictures
+    other: "Stored[Any] | None" = None  # the study to compare with
 
     def is_complete(self, outcome: NDArray[np.uint8]) -> bool:
         """Whether all these cells are computed, and no damage is being repaired."""
@@ -84,7 +85,7 @@ class Stored(Generic[_Spec_co]):
 
     @property
     def attributes(self) -> dict[str, str]:
-        """Attributes of a picture of these results: job and versions, a comment if the kernel is not ours."""
+        """Attributes of files and pictures: job, audit, versions, and a comment on another kernel version."""
         job = {} if self.job is None else {"job": self.job}
         if self.audit is not None:
             job["audit"] = self.audit
@@ -98,15 +99,15 @@ class Stored(Generic[_Spec_co]):
 
     @property
     def origin(self) -> dict[str, str]:
-        """The attributes and the specification, as JSON."""
+        """The attributes, and the specification as JSON."""
         return {**self.attributes, "spec": json.dumps(self.spec.as_submitted(), ensure_ascii=False)}
 
 
-def check_kernel(version: str) -> None:
-    """Raise OutdatedJob if `version` computed cells that this release would continue with its own kernel."""
-    if version != KERNEL_VERSION:
+def check_kernel(study: Stored[Any]) -> None:
+    """Raise OutdatedJob for cells of another kernel version, which this release would continue."""
+    if study.kernel_version != KERNEL_VERSION:
         raise OutdatedJob(
-            f"the sweep was computed by kernel version {version}; this release computes version "
+            f"the sweep was computed by kernel version {study.kernel_version}; this release computes version "
             f"{KERNEL_VERSION}: submit the sweep again, or read what is stored"
         )
 
@@ -120,9 +121,9 @@ class GridValue:
 
 
 def nearest_index(spec: Specification, axis: str, value: float | None) -> GridValue:
-    """The grid value nearest to `value`; None selects the value of an axis that has only one.
+    """The grid value nearest to `value`; None selects the value of an axis with only one.
 
-    Raises InvalidRequest for a value outside the axis, and for None where the axis has several values.
+    Raises InvalidRequest for a value outside the axis, and for None if the axis has several values.
     """
     values = spec.axis_values(axis)
     low, high = float(values[0]), float(values[-1])
@@ -139,15 +140,20 @@ def nearest_index(spec: Specification, axis: str, value: float | None) -> GridVa
     return GridValue(index, float(values[index]))
 
 
-def fixed_axes(spec: SweepSpec, along: str, values: Mapping[str, Any]) -> dict[str, GridValue]:
-    """The grid values of all axes but `along`. Raises InvalidRequest, also for a value of `along`."""
-    if values.get(along) is not None:
-        raise InvalidRequest.of(along, "is the axis the diagram goes along; leave it out")
-    return {axis: nearest_index(spec, axis, values.get(axis)) for axis in reversed(AXES) if axis != along}
+def nearest_values(spec: Specification, query: Any, axes: Iterable[str]) -> dict[str, GridValue]:
+    """The grid values nearest to the fields of a query, by axis. Raises InvalidRequest as `nearest_index`."""
+    return {axis: nearest_index(spec, axis, getattr(query, axis)) for axis in axes}
+
+
+def fixed_axes(spec: SweepSpec, query: Any) -> dict[str, GridValue]:
+    """The grid values of all axes but `query.along`. Raises InvalidRequest, also for a value of that axis."""
+    if getattr(query, query.along) is not None:
+        raise InvalidRequest.of(query.along, "is the axis the diagram goes along; leave it out")
+    return nearest_values(spec, query, (axis for axis in reversed(AXES) if axis != query.along))
 
 
 def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:
-    """`direction` alone, or all of the sweep if None. Raises InvalidRequest for one that the sweep lacks."""
+    """`direction`, or all directions of the sweep if None. Raises InvalidRequest if the sweep lacks it."""
     if direction is None:
         return tuple(spec.directions)
     if direction not in spec.directions:
@@ -163,9 +169,10 @@ def check_order(query: Any, lower: str, upper: str) -> None:
 
 
 def between(values: NDArray[np.float64], query: Any, lower: str, upper: str) -> range:
-    """Indices of the values in the window of a query, None being the end; if there are none, the one nearest.
+    """Indices of the values within the window of a query; if there are none, of the nearest value.
 
-    Raises InvalidRequest for a window with its ends swapped, or without a part of the axis.
+    lower, upper: fields of the query; None stands for an end of the axis. Raises InvalidRequest for a window
+    with swapped ends, or outside the axis.
     """
     check_order(query, lower, upper)
     start, stop, ends = getattr(query, lower), getattr(query, upper), (float(values[0]), float(values[-1]))
@@ -181,9 +188,9 @@ def between(values: NDArray[np.float64], query: Any, lower: str, upper: str) -> 
 
 
 def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> int | None:
-    """The smallest n for which every n-th cell along all the axes gives at most `max_points` points.
+    """The smallest n for which every n-th cell along all axes gives at most `max_points` points.
 
-    None if a single cell has more.
+    None if a single cell has more points.
     """
     steps = range(1, max(lengths) + 1)
     first = bisect_left(
@@ -195,26 +202,26 @@ def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> i
 def read_stored(
     study: Stored[Specification], names: Sequence[str], indices: Indices
 ) -> dict[str, NDArray[Any]]:
-    """The named arrays of a study at `indices`, whole along the dimensions not named there.
+    """The named arrays of a study at `indices`, whole along all other dimensions.
 
-    Cells that are not computed, and variables that an earlier kernel did not store, hold fill values. Raises
-    a `store.StoreError`.
+    Cells that are not computed, and variables that another kernel version did not store, hold fill values.
+    Raises a `store.StoreError`.
     """
     try:
         stored = names
         if study.forms is None:
-            there = store.stored_forms(study.url, None)
-            stored = [name for name in names if name in there]
+            forms = store.stored_forms(study.url, None)
+            stored = [name for name in names if name in forms]
         arrays = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
     except store.StoreMissing as error:
         if study.begun:
             raise store.StoreDamaged(str(error)) from error
-        arrays = {}  # The store is created with the first chunk.
+        arrays = {}  # the store is created with the first chunk
     return arrays if len(arrays) == len(names) else _fill_values(study.spec, names, indices) | arrays
 
 
 def _fill_values(spec: Any, names: Sequence[str], indices: Indices) -> dict[str, NDArray[Any]]:
-    """What the named arrays hold before any cell is computed."""
+    """The named arrays as they are before any cell is computed."""
     layout, values = study_of(spec).variables(spec, (1,) * len(spec.AXES)), {}
     for array in layout.arrays:
         if array.name in names:
@@ -233,12 +240,12 @@ def read_direction(
 
 
 def shortest(spec: SweepSpec, min_flight: float | None) -> float:
-    """The flight in rad above which flights count: `min_flight`, or the sweep's own."""
+    """The limit above which flights count, rad: `min_flight`, or the sweep's own."""
     return spec.micro_flight if min_flight is None else min_flight
 
 
 def needs_flights(spec: SweepSpec, min_flight: float | None) -> bool:
-    """Whether outcome and mode have to be found anew from the stored flights."""
+    """Whether outcome and mode must be found anew from the stored flights."""
     return shortest(spec, min_flight) != spec.micro_flight
 
 
@@ -250,17 +257,17 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
 
 
 def hidden_cells(arrays: Mapping[str, NDArray[Any]], hide: str) -> NDArray[np.bool_]:
-    """Which cells are of the classes that `hide` lists."""
+    """Which cells belong to the classes in `hide`, separated by commas."""
     labels = arrays.get(LABEL.name, arrays["outcome"])
     classes = classes_of(labels, arrays["bounces"], arrays["periods"])
     return np.isin(classes, [CLASS_NAMES.index(name) for name in hide.split(",")])
 
 
 def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict[str, NDArray[Any]]:
-    """MODE_ARRAYS by name if flights longer than `min_flight` (rad) count, and `labelled` arrays.
+    """The MODE_ARRAYS if flights longer than `min_flight`, rad, count, and the `labelled` arrays.
 
-    Also `computed`, where other cells are filled in: those have no flights, and keep their mode.
-    `arrays` are those of any cells, at least `arrays_of_modes`.
+    In an adaptive map also `computed`: cells that are filled in have no flights, and keep their mode. arrays:
+    at least `arrays_of_modes`, of any cells.
     """
     modes = {name: arrays[name] for name in MODE_ARRAYS}
     if needs_flights(spec, min_flight):
@@ -278,7 +285,7 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
 
 
 def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """By name LABEL and the arrays that it is told by; nothing where no exponents are stored."""
+    """The LABEL of cells and the exponents that decide it, by name; empty if no exponents are stored."""
     if not spec.exponents:
         return {}
     lyapunov, error = arrays[schema.LYAPUNOV.name], arrays[schema.LYAPUNOV_ERROR.name]
@@ -287,7 +294,7 @@ def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dic
 
 
 def attractor_label(code: int, bounces: int, periods: int) -> str:
-    """rest, a mode as (3,4), or the label of an aperiodic attractor; `code`: an outcome or a label's."""
+    """`rest`, a mode such as `(3,4)`, or the label of an aperiodic attractor; code: an outcome or label."""
     if code in (Outcome.PERIODIC, UNSTABLE):
         return f"({bounces},{periods})" + (" unstable" if code == UNSTABLE else "")
     return "rest" if code == Outcome.AT_REST else LABELS[code]

@@ -1,6 +1,6 @@
-"""A sweep as one HTML file: the page with the answers it asks for, opened without a service or a network.
+"""Writes a sweep as one HTML file: the page with its answers, which opens without a service or a network.
 
-The page's modules are `data:` addresses of an import map, which browsers also accept in a file.
+The page's modules are `data:` addresses in an import map, which browsers also accept in a file.
 """
 
 import gzip
@@ -11,6 +11,7 @@ import re
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,9 +26,9 @@ from worker.study.layout import REFERENCE
 from worker.sweep import AXES, SweepSpec
 
 FILES: Final = Path(__file__).parents[1] / "static"
-#: Bytes of compressed flights: of more, every second line is left out, again and again.
+#: Limit on the bytes of compressed flights; above, every second line is left out, repeatedly.
 MOST_BYTES: Final = 6_000_000
-#: Lines, flights of a line and of all, cells of a map: of more, every n-th is taken.
+#: Limits on lines, on flights of a line and of all lines, and on cells of a map; above, every n-th is taken.
 MOST_LINES, MOST_FLIGHTS, MOST_IN_ALL, MOST_CELLS = 400, 60_000, 4_000_000, 250_000
 
 _IMPORT: Final = re.compile(r'(from |import |import\()"(\.{1,2}/[^"]+)"(?: with \{[^}]*\})?')
@@ -36,10 +37,10 @@ _OUTSIDE: Final = re.compile(r"\s*<(?:link|script)[^>]*>(?:</script>)?")
 
 
 def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str = "") -> str:
-    """The file of a sweep with these attributes, see `exports.attributes_of`.
+    """The file of a sweep.
 
-    numbers: its whole store, see `sharing.packed`; empty where that is too large.
-    Where scripts do not run it shows the diagram of the first line, the attributes and the specification.
+    attributes: as `exports.attributes_of`. numbers: the whole store, as `sharing.packed`; empty if it is too
+    large. Without scripts the file shows the diagram of the middle line and the attributes.
     """
     lines, left_out = _lines(study)
     spec = study.spec
@@ -58,7 +59,7 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
         "How to cite": f"bouncing-spring {software().release}, and {REFERENCE}",
     }  # fmt: skip
     shown = {"job": job, "answers": answers, "note": note, "about": about}
-    shared = json.dumps(shown).replace("<", "\\u003c")  # whatever a name is, no tag begins in a script
+    shared = json.dumps(shown).replace("<", "\\u003c")  # no name may begin a tag inside the script
     imports = json.dumps({"imports": dict(_modules())})
     head = "".join(f"<style>{(FILES / name).read_text()}</style>" for name in ("style.css", "views.css"))
     scripts = (
@@ -74,12 +75,12 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
 
 
 def _modules() -> Iterator[tuple[str, str]]:
-    """The page's modules by their names in the import map, with imports by these names."""
+    """The page's modules: names in the import map, and addresses of their text, which imports these names."""
     for path in sorted((FILES / "js").rglob("*.js")):
         name = path.relative_to(FILES).as_posix()
 
-        def renamed(found: re.Match[str], folder: str = posixpath.dirname(name)) -> str:
-            return f'{found[1]}"bounce/{posixpath.normpath(posixpath.join(folder, found[2]))}"'
+        def renamed(match: re.Match[str], folder: str = posixpath.dirname(name)) -> str:
+            return f'{match[1]}"bounce/{posixpath.normpath(posixpath.join(folder, match[2]))}"'
 
         text = _IMPORT.sub(renamed, path.read_text())
         yield f"bounce/{name}", _address(text.encode(), "text/javascript")
@@ -92,16 +93,15 @@ def _address(content: bytes, media_type: str) -> str:
 
 
 def _answer(view: View, study: Stored[SweepSpec], result: xarray.Dataset, **about: Any) -> dict[str, Any]:
-    """An answer as the page reads it, compressed, with what it is about."""
+    """An answer as the page reads it, compressed, with the parameters that identify it."""
     content = encoded(view, study, result, "bin")
     return {**about, "data": b64encode(gzip.compress(content, 6, mtime=0)).decode()}
 
 
 def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
-    """The diagrams along the longest axis, and a sentence on what is left out of them."""
+    """The diagrams along the longest axis, and a sentence on omitted lines and cells."""
     spec = study.spec
-    along, places = _places(spec)
-    every = -(-len(spec.axis_values(along)) * spec.keep // MOST_FLIGHTS)
+    along, every, places = _places(spec)
     flights = spec.shape[0] * spec.keep * -(-len(spec.axis_values(along)) // every)
     step = -(-len(places) // min(MOST_LINES, max(MOST_IN_ALL // flights, 1)))
     lines = []
@@ -110,49 +110,45 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
         lines.append(_answer(diagram.VIEW, study, diagram.compute(study, query), **place))
     while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
         lines, step = lines[::2], 2 * step
-    thinned = [
-        f"1 line in {step}" if step > 1 else "",
-        f"1 cell in {every} of a line" if every > 1 else "",
-    ]
-    said = " and ".join(filter(None, thinned))
-    return lines, f"Diagrams: {said}" if said else ""
+    thinned = [f"1 line in {step}" if step > 1 else "", f"1 cell in {every} of a line" if every > 1 else ""]
+    omitted = " and ".join(filter(None, thinned))
+    return lines, f"Diagrams: {omitted}" if omitted else ""
 
 
-def _places(spec: SweepSpec) -> tuple[str, list[dict[str, float]]]:
-    """The longest axis, and the places of its lines on the others."""
+def _places(spec: SweepSpec) -> tuple[str, int, list[dict[str, float]]]:
+    """The longest axis, n to show every n-th of its cells, and the places of its lines on the other axes."""
     along = max(("gamma", "omega", "xi"), key=lambda axis: len(spec.axis_values(axis)))
+    every = -(-len(spec.axis_values(along)) * spec.keep // MOST_FLIGHTS)
     others = [axis for axis in AXES if axis != along]
-    values = product(*(spec.axis_values(axis).tolist() for axis in others))
-    return along, [dict(zip(others, each, strict=True)) for each in values]
+    places = product(*(spec.axis_values(axis).tolist() for axis in others))
+    return along, every, [dict(zip(others, place, strict=True)) for place in places]
 
 
 def _maps(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
-    """The mode maps of every xi and direction, where the sweep has a plane."""
+    """The mode maps of every xi and direction; none if the sweep has no plane."""
     spec = study.spec
     directions, _, omega, gamma = spec.shape
     if min(omega, gamma) < 2:
         return []
     every = max(1, int((omega * gamma / MOST_CELLS) ** 0.5 + 0.999))
-    found = []
-    for value, direction in product(spec.axis_values("xi")[:MOST_LINES], spec.directions):
-        query = modes.ModesQuery(xi=float(value), direction=direction, every=every, hysteresis=directions > 1)
-        result = modes.compute(study, query)
-        found.append(_answer(modes.VIEW, study, result, xi=float(value), direction=direction))
-    return found
+    maps = []
+    for xi, direction in product(spec.axis_values("xi")[:MOST_LINES].tolist(), spec.directions):
+        query = modes.ModesQuery(xi=xi, direction=direction, every=every, hysteresis=directions > 1)
+        maps.append(_answer(modes.VIEW, study, modes.compute(study, query), xi=xi, direction=direction))
+    return maps
 
 
 def _thresholds(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
-    """The thresholds of every xi, as on the grid; none of a ramp along another axis than gamma."""
+    """The thresholds of every xi on the grid; none for a ramp along another axis than gamma."""
     if study.spec.ramp_axis not in (None, "gamma"):
         return []
-    values = study.spec.axis_values("xi")[:MOST_LINES]
-    queries = [(float(xi), threshold.ThresholdQuery(xi=float(xi), predict="none")) for xi in values]
+    values = study.spec.axis_values("xi")[:MOST_LINES].tolist()
+    queries = [(xi, threshold.ThresholdQuery(xi=xi, predict="none")) for xi in values]
     return [_answer(threshold.VIEW, study, threshold.compute(study, query), xi=xi) for xi, query in queries]
 
 
 def _progress(spec: SweepSpec) -> dict[str, Any]:
-    directions, *axes = spec.shape
-    cells = directions * axes[0] * axes[1] * axes[2]
+    cells = prod(spec.shape)
     return {
         "cells_done": cells, "cells_total": cells, "chunks_done": 1, "chunks_total": 1, "percent": 100,
         "eta_seconds": None, "cells_settling": 0, "cells_computed": None, "cells_needed": None,
@@ -160,11 +156,9 @@ def _progress(spec: SweepSpec) -> dict[str, Any]:
 
 
 def _still(study: Stored[SweepSpec], attributes: Mapping[str, Any], note: str) -> str:
-    """What a reader without scripts sees: a picture and a table."""
-    along, places = _places(study.spec)
-    every = -(-len(study.spec.axis_values(along)) * study.spec.keep // MOST_FLIGHTS)
-    place = places[len(places) // 2]
-    query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
+    """The page for readers without scripts: a picture and a table."""
+    along, every, places = _places(study.spec)
+    query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **places[len(places) // 2]})
     picture = encoded(diagram.VIEW, study, diagram.compute(study, query), "png")
     rows = {"note": note, **attributes}
     cells = "".join(

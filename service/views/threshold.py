@@ -1,4 +1,4 @@
-"""Thresholds of one spring, of a grid of them, and of a sweep per omega: on its grid, refined, predicted."""
+"""Thresholds of one spring, of a grid of springs, and of a sweep: on its grid, refined and predicted."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -15,7 +15,7 @@ from kernel.search import starts_of
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
-from service.pictures import ATTRACTORS, AXES, IDEAL, SYMBOLS, draw_thresholds, edges, legend_beside
+from service.pictures import ATTRACTORS, AXES, IDEAL, draw_thresholds, edges, legend_beside, values_at
 from service.views import orbits, proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
@@ -40,7 +40,7 @@ from worker.sweep.plan import cell_seconds
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Springs whose thresholds are kept: the least recently used one makes room.
+#: Number of springs whose thresholds are kept, the last used.
 KEPT: Final = 4096
 
 _OF_SEARCH: Final = (
@@ -56,19 +56,12 @@ _OF_SPRING: Final = (
     row("cause", (), "U", "what ends bouncing at down"),
     row("status", (), "U", "how down was found: closed form, continued, searched, or unresolved"),
     row("reason", (), "U", "why down is not decided"),
-    row(
-        "missed",
-        (),
-        "<f8",
-        "share of all starts of a basin that a search sees with 95 %",
-        comment="of starts below the lowest end known, down to 0.3 of it",
-    ),
+    row("missed", (), "<f8", "share of all starts of a basin that a search sees with 95 %",
+        comment="of starts below the lowest end known, down to 0.3 of it"),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),
     row("delta", (), "<f8", "Γ below down"),
-    *ENERGY,
-    *_OF_SEARCH,
-    *proofs.OF_THRESHOLD,
-)
+    *ENERGY, *_OF_SEARCH, *proofs.OF_THRESHOLD,
+)  # fmt: skip
 
 
 class SearchQuery(orbits.ContactQuery):
@@ -108,19 +101,21 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     share of starts, `missed`, that a basin must have to be seen with 95 %.
     """
     contact = orbits.contact(query)
-    *before, found = computed if query.search else (*computed, None)
+    *before, search = computed if query.search else (*computed, None)
     thresholds = before[0] if before else predicted(query.omega, query.xi)
     data: dict[str, Any] = {
         "threshold": thresholds.gamma_th if np.isfinite(thresholds.gamma_th) else np.nan,
         "jump": thresholds.jump, "down": thresholds.down,
         "cause": thresholds.cause, "reason": thresholds.reason, "status": _status(contact, thresholds),
     }  # fmt: skip
-    if found is not None:
-        data["missed"] = found.missed
-    if found is not None and not found.gamma > thresholds.down * _SAME_END:
-        gamma, what = (found.gamma, found.what) if np.isfinite(found.gamma) else (thresholds.gamma_th, EQ_25)
+    if search is not None:
+        data["missed"] = search.missed
+    if search is not None and not search.gamma > thresholds.down * _SAME_END:
+        gamma, what = (
+            (search.gamma, search.what) if np.isfinite(search.gamma) else (thresholds.gamma_th, EQ_25)
+        )
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
-        data |= {row.name: getattr(found, row.name) for row in _OF_SEARCH}
+        data |= {row.name: getattr(search, row.name) for row in _OF_SEARCH}
     elif thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}
         if thresholds.fold.energy is not None:
@@ -137,7 +132,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
 
 
 def _status(contact: Contact | None, thresholds: Thresholds) -> str:
-    """By which way `down` was found."""
+    """How `down` was found."""
     if not np.isfinite(thresholds.down):
         return "unresolved"
     fold = thresholds.fold
@@ -145,17 +140,20 @@ def _status(contact: Contact | None, thresholds: Thresholds) -> str:
 
 
 def _calls(query: SpringQuery) -> list[Call]:
-    """What workers compute of a spring: the prediction, and what a search finds."""
+    """The calls of a spring for workers: the prediction, and the search if it is asked for."""
     contact, spring = orbits.contact(query), (query.omega, query.xi)
-    found: list[Call] = [(predict, *spring) if contact is None else (of_contact, contact, *spring)]
-    return [*found, (search_below, contact or Rigid(), *spring, query.effort)] if query.search else found
+    calls: list[Call] = [(predict, *spring) if contact is None else (of_contact, contact, *spring)]
+    if query.search:
+        calls.append((search_below, contact or Rigid(), *spring, query.effort))
+    return calls
 
 
 def spring_parts(study: None, query: SpringQuery) -> Sequence[Call]:
-    """The prediction, if it takes long or follows cycles, and a search."""
-    brief = query.model is None and not query.search
-    brief = brief and prediction_seconds(query.omega, query.xi) <= AT_ONCE_SECONDS
-    return () if brief and decides(query.omega, query.xi) else _calls(query)
+    """The calls of the spring; none if the closed form decides, and is quick."""
+    spring = query.omega, query.xi
+    in_closed_form = query.model is None and not query.search
+    quick = in_closed_form and prediction_seconds(*spring) <= AT_ONCE_SECONDS and decides(*spring)
+    return () if quick else _calls(query)
 
 
 def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
@@ -164,7 +162,7 @@ def estimate_spring(spec: None, query: SpringQuery) -> Estimate:
     if query.prove and (contact is not None or query.search):
         raise InvalidRequest.of("prove", "is of the closed form: leave out model and search")
     brief = contact is None and prediction_seconds(query.omega, query.xi) <= SMALL_SECONDS
-    return Estimate({}, small=brief and not query.prove)  # proofs have a precision of the whole process
+    return Estimate({}, small=brief and not query.prove)  # proofs set the precision of the whole process
 
 
 SPRING: Final = View(
@@ -173,13 +171,13 @@ SPRING: Final = View(
 )  # fmt: skip
 
 
-#: A search that ends no higher than this part of the rule's end has found it, or a lower one.
+#: A search has found the end of the rule, or a lower one, if it ends below this multiple of it.
 _SAME_END: Final = 1.0 + 1e-9
-#: Core-seconds of a grid, and of one of its springs: continued, or searched with up to 1,000 starts.
+#: Limit on the core-seconds of a grid; those of a spring, followed, or searched with up to 1,000 starts.
 MAX_GRID_SECONDS: Final = 4_000.0
 _CONTINUED, _SEARCHED = 1.0, 15.0
 
-#: Variables of one spring alone.
+#: Variables that only one spring has.
 _ALONE: Final = {"lifetime", "delta", *(row.name for row in (*ENERGY, *proofs.OF_THRESHOLD))}
 _OF_GRID: Final = tuple(row for row in _OF_SPRING if row.name not in _ALONE)
 
@@ -194,7 +192,7 @@ class GridQuery(SearchQuery):
 
 
 def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
-    """The values of an axis. Raises InvalidRequest unless they increase."""
+    """The values of an axis, written as numbers or start:stop:number. Raises InvalidRequest."""
     text = getattr(query, name)
     try:
         if ":" in text:
@@ -210,15 +208,13 @@ def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
 
 
 def _springs(query: GridQuery) -> list[SpringQuery]:
-    """Omega varies fastest. Raises InvalidRequest."""
+    """The springs of a grid, omega fastest. Raises InvalidRequest, also for too many."""
     xis, omegas = (_values(query, name).tolist() for name in ("xi", "omega"))
     seconds = _SEARCHED * max(1.0, starts_of(query.effort) / 1_000) if query.search else _CONTINUED
     most = int(MAX_GRID_SECONDS / seconds)
     if len(xis) * len(omegas) > most:
-        rule = (
-            f"must be fewer: {most:,} springs take {MAX_GRID_SECONDS:,.0f} core-seconds, which is the limit"
-        )
-        raise InvalidRequest.of("omega", rule)
+        rule = f"{most:,} springs take {MAX_GRID_SECONDS:,.0f} core-seconds, which is the limit"
+        raise InvalidRequest.of("omega", f"must be fewer: {rule}")
     shared = query.model_dump(exclude={"omega", "xi"})
     try:
         return [SpringQuery(omega=omega, xi=xi, **shared) for xi in xis for omega in omegas]
@@ -228,9 +224,9 @@ def _springs(query: GridQuery) -> list[SpringQuery]:
 
 
 def grid_parts(study: None, query: GridQuery) -> Sequence[Call]:
-    """The calls of each spring; those of one function stand together."""
-    each = [_calls(spring) for spring in _springs(query)]
-    return [call for step in zip(*each, strict=True) for call in step]
+    """The calls of all springs; calls of one function stand together."""
+    calls = [_calls(spring) for spring in _springs(query)]
+    return [call for step in zip(*calls, strict=True) for call in step]
 
 
 def compute_grid(study: None, query: GridQuery, *computed: Any) -> xarray.Dataset:
@@ -240,32 +236,32 @@ def compute_grid(study: None, query: GridQuery, *computed: Any) -> xarray.Datase
     is the share of all starts of a basin that its search sees with 95 %.
     """
     springs = _springs(query)
-    each = [compute_spring(None, spring, *computed[i :: len(springs)]) for i, spring in enumerate(springs)]
+    results = [compute_spring(None, spring, *computed[i :: len(springs)]) for i, spring in enumerate(springs)]
     axes = {name: coordinate(name, _values(query, name)) for name in ("xi", "omega")}
     shape = tuple(axis.size for axis in axes.values())
     data = {
-        row.name: variable(tuple(axes), np.reshape([one[row.name].values for one in each], shape), row)
+        row.name: variable(tuple(axes), np.reshape([x[row.name].values for x in results], shape), row)
         for row in _OF_GRID
-        if row.name in each[0]
+        if row.name in results[0]
     }
-    return dataset(data, axes, each[0].attrs)
+    return dataset(data, axes, results[0].attrs)
 
 
 def estimate_grid(spec: None, query: GridQuery) -> Estimate:
-    """One number of each variable and spring. Raises InvalidRequest."""
+    """One number of each variable for each spring. Raises InvalidRequest."""
     orbits.contact(query)
     sizes = {name: len(_values(query, name)) for name in ("xi", "omega")}
     return Estimate(sizes, memory=_PER_OMEGA * len(_springs(query)), small=False)
 
 
-#: Values of xi that are drawn as lines over omega; more as a map.
+#: Up to this many values of xi are drawn as lines over omega; more are drawn as a map.
 _MOST_LINES: Final = 5
 
 
 def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
-    """The lowest Γ at which bouncing persists: a line over omega for each of a few xi, or a map.
+    """Draw the lowest Γ at which bouncing persists: a line over omega for each of a few xi, or a map.
 
-    Diamonds are searched for; dashed: Eq. 25. White on a map: not decided.
+    Diamonds: searched. Dashed: Eq. 25. White on a map: not decided.
     """
     axes = figure.subplots()
     axes.set_xlabel(AXES["omega"])
@@ -277,15 +273,13 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
         axes.set_ylabel(AXES["xi"])
         axes.set_title("white: not decided", fontsize=10)
         return
-    for i, line in enumerate(result.isel(xi=j) for j in range(result.sizes["xi"])):
-        colour = ATTRACTORS[i % len(ATTRACTORS)]
+    for i in range(result.sizes["xi"]):
+        line, colour = result.isel(xi=i), ATTRACTORS[i]
         searched = line.status.values == "searched"
-        label = f"{SYMBOLS['xi']} = {line.xi.item():g}"
-        axes.plot(omega, line.down.values, "-", color=colour, linewidth=1.2, label=label)
-        axes.plot(omega[~searched], line.down.values[~searched], ".", color=colour)
-        axes.plot(
-            omega[searched], line.down.values[searched], "D", color=colour, fillstyle="none", markersize=5
-        )
+        down = line.down.values
+        axes.plot(omega, down, "-", color=colour, linewidth=1.2, label=values_at(line, ["xi"]))
+        axes.plot(omega[~searched], down[~searched], ".", color=colour)
+        axes.plot(omega[searched], down[searched], "D", color=colour, fillstyle="none", markersize=5)
         axes.plot(omega, line.threshold.values, "--", color=colour, linewidth=0.9)
     axes.set_ylabel(r"lowest $\Gamma$ at which bouncing persists")
     legend_beside(axes, axes.get_legend_handles_labels()[0])
@@ -299,28 +293,28 @@ GRID: Final = View(
 )  # fmt: skip
 
 
-#: Values of omega that one worker call refines: small enough to share out, large enough to be worth a call.
+#: Values of omega that a call refines: few enough to share out, enough to be worth a call.
 BLOCK: Final = 16
 
-#: Values of omega predicted unless all are asked for.
+#: Limit on the values of omega that are predicted without `all`.
 MAX_PREDICTED: Final = 200
 
-#: Core-seconds of one omega, typically: following the cycles of three cells, a search.
+#: Typical core-seconds per omega: for following the cycles of three cells, for a search.
 _EACH_SECONDS: Final = {"cells": 0.48, "search": 15.0}
 
-#: Values of omega, and core-seconds, of predictions that are computed with a small read.
+#: Limits on the values of omega, and on the core-seconds, of predictions that count as small.
 MAX_BRIEF: Final = 4
 BRIEF_SECONDS: Final = 0.2
 
-#: Core-seconds of the predictions that one worker call computes.
+#: Core-seconds of the predictions in a call.
 CALL_SECONDS: Final = 1.0
 
-#: Core-seconds that one answer may take.
+#: Limits on the core-seconds of an answer.
 MAX_SECONDS: Final = 60.0
 MAX_PREDICTION_SECONDS: Final = 200.0
 MAX_SEARCH_SECONDS: Final = 1_000.0
 
-#: Bytes of an omega in an answer, with its statuses as text.
+#: Bytes per omega in an answer, with statuses as text.
 _PER_OMEGA: Final = 1_000
 
 _ROWS: Final = (
@@ -344,10 +338,7 @@ class ThresholdQuery(Query):
     tolerance: Annotated[Number, Field(ge=1e-9, le=1e3)] | None = Field(
         None, description="in Γ: refine the thresholds beyond the grid, from the sweep's stored states"
     )
-    predict: Predict = Field(
-        "some",
-        description="which thresholds are predicted, see above",
-    )
+    predict: Predict = Field("some", description="which thresholds are predicted, see above")
     omega_start: Number | None = None
     omega_stop: Number | None = None
     gamma_start: Annotated[Number | None, Field(description="of a picture: its lowest threshold")] = None
@@ -385,13 +376,13 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
     refined = [part for part in computed if isinstance(part, Refined)]
     if query.tolerance is not None:
         data |= _refined(data, refined)
-    each = [prediction for part in computed[len(refined) :] for prediction in part]
+    predictions = [prediction for part in computed[len(refined) :] for prediction in part]
     why_not = _left_out(spec, xi, query.predict)
-    if not (each or why_not):
-        each = [predicted(value, xi) for value in omega.tolist()]
-    pairs = zip(data["down"].tolist(), each, strict=bool(each))
+    if not (predictions or why_not):
+        predictions = [predicted(value, xi) for value in omega.tolist()]
+    pairs = zip(data["down"].tolist(), predictions, strict=bool(predictions))
     differences = [_difference(spec, query.tolerance, *pair) for pair in pairs]
-    rows = [(x.jump, x.down, x.cause, why) for x, why in zip(each, differences, strict=True)]
+    rows = [(x.jump, x.down, x.cause, why) for x, why in zip(predictions, differences, strict=True)]
     rows = rows or [(np.nan, np.nan, why_not, "")] * len(omega)
     columns: Any = zip(*rows, strict=True)
     data |= zip(("predicted_jump", "predicted_down", "cause", "difference"), columns, strict=True)
@@ -415,10 +406,10 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
 
 
 def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
-    """Every omega, the outcomes of the plane, and what is computed.
+    """All omegas, the outcomes of the plane, and the computing.
 
-    Raises InvalidRequest for a sweep ramped along another axis than gamma, for cycles of a contact without
-    any, and for more computing than one answer may take.
+    Raises InvalidRequest for a sweep ramped along another axis than gamma, for a contact whose cycles cannot
+    be followed, and for more core-seconds than an answer may take.
     """
     if spec.ramp_axis not in (None, "gamma"):
         rule = f"is {spec.ramp_axis}; thresholds in gamma need a sweep from rest or ramped along gamma"
@@ -444,15 +435,15 @@ def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
 
 
 def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence[Call]:
-    """Refinements, and the predictions that take long. Nothing is refined of a job that has not begun.
+    """Refinements, unless the job has not begun, and predictions that take long.
 
-    Raises OutdatedJob for a sweep of another kernel version, whose states this one does not continue.
+    Raises OutdatedJob for a sweep of another kernel version, whose states this release does not continue.
     """
     spec, nearest = study.spec, selection.nearest_index(study.spec, "xi", query.xi)
     omega = spec.axis_values("omega").tolist()
     calls: list[Call] = []
     if query.tolerance is not None or query.predict == "cells":
-        selection.check_kernel(study.kernel_version)
+        selection.check_kernel(study)
     if query.tolerance is not None and study.chunks_done:
         blocks = (tuple(range(low, min(low + BLOCK, len(omega)))) for low in range(0, len(omega), BLOCK))
         calls += [(by_bisection, spec, study.url, nearest.index, block, query.tolerance) for block in blocks]
@@ -460,7 +451,7 @@ def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence
         return calls
     how: Predict = query.predict
     if how == "cells" and not study.chunks_done:
-        how = "all"  # before the first chunk there are none
+        how = "all"  # before the first chunk there are no cells
     seconds = _seconds(spec, nearest.value, how)
     if how == "some" and seconds[-1] <= AT_ONCE_SECONDS:
         return calls
@@ -477,9 +468,9 @@ def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence
 
 
 def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
-    """The thresholds to the grid in gamma and their statuses, and whether every cell is done.
+    """The thresholds on the grid in gamma with their statuses, and whether every cell is done.
 
-    Where cells are filled in, also whether both cells beside each threshold were computed.
+    In an adaptive map also whether both cells beside each threshold were computed.
     """
     spec = study.spec
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
@@ -510,24 +501,23 @@ def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, N
 
 
 def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[str, NDArray[Any]]:
-    """What workers found instead of the grid; of a job that had not begun, all that they would have found."""
-    changed: dict[str, NDArray[Any]] = {}
+    """The refined thresholds in place of those on the grid; missing for a job that has not begun."""
+    thresholds: dict[str, NDArray[Any]] = {}
     if refined:
-        changed = {
-            name: np.concatenate([getattr(part, name) for part in refined]) for name in Refined._fields
-        }
+        for name in Refined._fields:
+            thresholds[name] = np.concatenate([getattr(part, name) for part in refined])
     else:
         for name in ("up", "down"):
             status = data[f"{name}_status"]
-            changed[name] = np.full(len(status), np.nan)
-            changed[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
+            thresholds[name] = np.full(len(status), np.nan)
+            thresholds[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
     if "up_computed" in data:  # refinement computes the cells that decide
-        changed["up_computed"] = changed["up_status"] == Status.FOUND
-    return changed
+        thresholds["up_computed"] = thresholds["up_status"] == Status.FOUND
+    return thresholds
 
 
 def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
-    """Why nothing is predicted; empty if every omega is. Raises InvalidRequest as `estimate`."""
+    """Why nothing is predicted; empty if every omega is predicted. Raises InvalidRequest as `estimate`."""
     if predict in _EACH_SECONDS:
         orbits.contact_of(spec)
     if predict == "none":
@@ -548,17 +538,17 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
     raise InvalidRequest.of("predict", f"{rule}; none leaves predictions out")
 
 
-@lru_cache(64)  # one answer takes it several times
+@lru_cache(64)  # called several times for an answer
 def _seconds(spec: SweepSpec, xi: float, predict: Predict) -> NDArray[np.float64]:
-    """Core-seconds of the predictions up to each omega."""
-    each = _EACH_SECONDS.get(predict, 0.0)
-    return np.cumsum([each + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
+    """Core-seconds of the predictions up to each omega (n,)."""
+    beside = _EACH_SECONDS.get(predict, 0.0)
+    return np.cumsum([beside + prediction_seconds(omega, xi) for omega in spec.axis_values("omega").tolist()])
 
 
 def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction: Thresholds) -> str:
-    """Why `down` and the prediction differ at one omega; empty where they agree or one is missing.
+    """Why `down` and the prediction differ at one omega; empty if they agree, or one is missing.
 
-    spacing: of `down` in gamma; None: that of the grid.
+    spacing: precision of `down` in gamma; None for that of the grid.
     """
     if not np.isfinite(down - prediction.down):
         return ""

@@ -35,22 +35,22 @@ from worker.work import plate_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Samples in one answer.
+#: Limit on the samples in an answer.
 MAX_SAMPLES: Final = 20_000
-#: Bytes of memory that a sample takes, with its numbers as text.
+#: Bytes of memory for a sample, with its numbers as text.
 BYTES_PER_SAMPLE: Final = 1_000
 
-#: A motion whose take-offs are this near to a period apart, rad, is a cycle.
+#: A motion is a cycle if its take-offs are whole periods apart within this, rad.
 SETTLED: Final = 1e-6
 
-#: Plate periods before the first sample.
+#: Limit on the plate periods before the first sample.
 MAX_SETTLE: Final = 1_000_000
 
-#: Where the model has no rest length, the spring is drawn 1e4 contact depths long, as in the paper.
+#: Contact depth over the rest length: without a rest length the spring is 1e4 contact depths long, as in the
+#: paper.
 DEPTH_OVER_LENGTH: Final = 1e-4
 
-
-#: Flight times of cycles are below this, rad.
+#: Limit on the flight times of cycles, rad.
 _LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
 
 
@@ -129,19 +129,15 @@ class TrajectorySpec(Document):
         if self.start is None:
             return self
         if self.settle:
-            rule = (
-                "must be 0 with a start on a cycle"
-                if self.start.kind == "cycle"
-                else "must be 0 with a start"
-            )
-            raise BrokenRuleError("settle", f"{rule}, not {self.settle}")
+            start = "a start on a cycle" if self.start.kind == "cycle" else "a start"
+            raise BrokenRuleError("settle", f"must be 0 with {start}, not {self.settle}")
         if self.start.kind != "drop" and self.model.kind not in WITH_CYCLES:
             rule = f"needs a spring, and model.kind is {self.model.kind!r}; {one_of(WITH_CYCLES)} works"
             raise BrokenRuleError("start", rule)
         return self
 
     def sweep(self) -> SweepSpec:
-        """The sweep of this one cell that ends where the samples begin. Raises SpecInvalid."""
+        """The sweep of this cell that ends where the samples begin. Raises SpecInvalid."""
         return SweepSpec(
             gamma=self.gamma, omega=self.omega, xi=self.xi, model=self.model,
             settle=max(self.settle - 1, 0), observe=1, keep=1,
@@ -150,8 +146,8 @@ class TrajectorySpec(Document):
 
 _LENGTH: Final = "plate amplitudes"
 
-#: The variables. Those of a cycle are of a start on one, the energies of a cycle of one bounce on a
-#: rigid plate without restitution.
+#: The variables. Those of a cycle belong to a start on one; the energies to a cycle of one bounce on a rigid
+#: plate without restitution.
 _ROWS: Final = (
     row("plate", ("phase",), "<f8", "plate", _LENGTH),
     row("z1", ("phase",), "<f8", "upper mass", _LENGTH),
@@ -168,7 +164,7 @@ _ROWS: Final = (
     row("cycle_multipliers", ("multiplier", "part"), "<f8", "Floquet multipliers, real and imaginary"),
     row("cycle_stable", (), "?", "whether both multipliers are inside the unit circle"),
     row("cycle_violations", (), "|u1", "0, or the sum of the conditions that fail"),
-    *(each._replace(name=f"energy_{each.name}") for each in ENERGY),
+    *(array._replace(name=f"energy_{array.name}") for array in ENERGY),
     *proofs.OF_CELL,
 )
 
@@ -197,9 +193,10 @@ def check_cost(spec: TrajectorySpec, max_seconds: float) -> None:
 
 
 def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xarray.Dataset:
-    """The motion after `settle` periods from rest, from the start, or from a state in the cell's units.
+    """The motion of a cell: after `settle` periods from rest, from its start, or from a state (6,).
 
-    Raises InvalidRequest where the cell has no answer to settle to, or no such cycle.
+    state: in the cell's units, as STATE_FIELDS. Raises InvalidRequest if the cell does not settle, or has no
+    such cycle.
     """
     cell = Cell(spec.gamma, spec.omega, spec.xi)
     gamma, omega, xi = (np.array([value]) for value in cell)
@@ -215,8 +212,8 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     elif isinstance(spec.start, DropStart):
         state = drop_states(np.array(spec.start.height), np.array(spec.start.phase))
     elif isinstance(spec.start, ContactStart):
-        place = (np.array(spec.start.elongation), np.array(spec.start.velocity))
-        state = contact_states(spec.model, (spec.gamma, spec.omega, spec.xi), *place)
+        elongation, velocity = np.array(spec.start.elongation), np.array(spec.start.velocity)
+        state = contact_states(spec.model, (spec.gamma, spec.omega, spec.xi), elongation, velocity)
     if state is None and spec.settle:
         line = run_cells(spec.sweep(), gamma, omega, xi, None)
         _check_ended("settle", line.outcome[0])
@@ -243,9 +240,9 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
 
 
 def _energies(spec: TrajectorySpec, path: Trajectory) -> dict[str, float]:
-    """The balance of a cycle, if the samples show one of one bounce on a rigid plate without restitution.
+    """The energy balance in closed form, if the samples show a cycle to which it applies; else empty.
 
-    In closed form; empty for any other motion.
+    It applies to cycles of one bounce on a rigid plate without restitution.
     """
     model = spec.model
     if not (isinstance(model, Rigid) and model.restitution == 0.0 and len(path.takeoff) > 1):
@@ -290,20 +287,20 @@ def compute(study: selection.Stored[_Spec], query: TrajectoryQuery) -> xarray.Da
     the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
     stored state is where the computation stopped.
     """
-    selection.check_kernel(study.kernel_version)
+    selection.check_kernel(study)
     return motion(_cell(study.spec, query), _start(study, query))
 
 
 def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
-    """All samples. Raises InvalidRequest for a cell or a start that the job does not have."""
+    """All samples. Raises InvalidRequest if the job lacks the cell or the attractor."""
     cell = _cell(spec, query)
     seconds, samples = _seconds(cell), cell.periods * cell.samples + 1
     return Estimate({"phase": samples}, memory=samples * BYTES_PER_SAMPLE, seconds=seconds, small=False)
 
 
 def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
-    """The cell of the grid and its samples. Only a cell of a sweep from rest settles again, as it did."""
-    values = {axis: selection.nearest_index(spec, axis, getattr(query, axis)).value for axis in AXES}
+    """The nearest cell of the grid, and its samples. Only a cell of a sweep from rest settles again."""
+    values = {axis: nearest.value for axis, nearest in selection.nearest_values(spec, query, AXES).items()}
     settle = 0
     if not isinstance(spec, SweepSpec):
         if query.attractor is None:
@@ -318,9 +315,9 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
 
 
 def _start(study: selection.Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
-    """The stored state of the attractor, or at the end of a ramp's window; None for a cell from rest."""
+    """The stored state of the attractor, or of a ramp's cell at its end; None for a cell from rest."""
     spec = study.spec
-    indices = {axis: selection.nearest_index(spec, axis, getattr(query, axis)).index for axis in AXES}
+    indices = {axis: nearest.index for axis, nearest in selection.nearest_values(spec, query, AXES).items()}
     if query.attractor is not None:
         arrays = selection.read_stored(study, ("attractor_outcome", "attractor_state"), indices)
         stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
@@ -343,7 +340,7 @@ def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
 
 
 def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np.float64], Branch]:
-    """The state on a cycle: on the contact's own with a flight time, else on one of the closed form.
+    """The state (6,) on a cycle, and the cycle: the contact's own with a flight time, else in closed form.
 
     Raises InvalidRequest.
     """
@@ -364,21 +361,21 @@ def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np
 
 
 def _has_own_cycles(model: Contact) -> bool:
-    """Whether a contact's cycles are followed, and not known in closed form."""
+    """Whether a contact's cycles are followed, and not in closed form."""
     if isinstance(model, Soft):
         return model.rest_length is None and model.restitution < 1.0
     return isinstance(model, Rigid) and 0.0 < model.restitution < 1.0
 
 
 def _check_ended(field: str, outcome: int) -> None:
-    """Raise InvalidRequest unless the cell's window ended where its samples are to begin."""
+    """Raise InvalidRequest if the cell diverged or stayed unresolved before the first sample."""
     if outcome in (Outcome.DIVERGED, Outcome.UNRESOLVED):
         name = Outcome(outcome).name.lower()
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Plate and masses, the upper one lowered by the spring's rest length, and the contact force."""
+    """Draw plate and masses, the upper mass lowered by the rest length, and the contact force."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     periods = result.phase.values / TWO_PI
     upper = result.z1.values - result.attrs["rest_length"]

@@ -1,6 +1,6 @@
-"""The variables of results: name, dimensions beside the cell's, type, units and long name of each, once.
+"""The variables of results: names, dimensions, types, units and long names, once; and Datasets of them.
 
-Stored variables come from `worker.sweep.schema` and `worker.basins.schema`; this module adds derived ones.
+Stored variables come from `worker.sweep.schema` and `worker.basins.schema`. This module adds derived ones.
 """
 
 from collections.abc import Iterable, Mapping
@@ -66,19 +66,19 @@ VARIABLES: Final[Mapping[str, Array]] = {
 
 
 def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
-    """A variable over the cell dimensions `dims` and the further ones of its row."""
+    """A variable over the cell dimensions `dims` and the further dimensions of its row."""
     return xarray.Variable((*dims, *row.extra_dims), np.asarray(values, row.dtype), row.attrs)
 
 
 def variables(
     rows: Iterable[Array], values: Mapping[str, Any], dims: tuple[str, ...] = ()
 ) -> dict[str, xarray.Variable]:
-    """By name the variables of those rows that have values, over `dims` and the further ones of each row."""
+    """The variables, by name, of the rows with values; dims: as in `variable`."""
     return {row.name: variable(dims, values[row.name], row) for row in rows if row.name in values}
 
 
 def coordinate(name: str, values: Any, **attrs: Any) -> xarray.Variable:
-    """Values along the dimension `name`, or one value."""
+    """A coordinate: values along the dimension `name`, or one value."""
     data = np.asarray(values)
     return xarray.Variable((name,) if data.ndim else (), data, {**COORDINATES.get(name, {}), **attrs})
 
@@ -86,23 +86,21 @@ def coordinate(name: str, values: Any, **attrs: Any) -> xarray.Variable:
 def dataset(
     data: Mapping[str, xarray.Variable], coords: Mapping[str, xarray.Variable], attrs: Mapping[str, Any]
 ) -> xarray.Dataset:
-    """A Dataset without indexes, which would take half of the time of making it."""
+    """A Dataset without indexes, which would take half of the time to make it."""
     return xarray.Dataset(data, xarray.Coordinates(coords, indexes={}), attrs)
 
 
 def cells_dataset(
-    cells: Mapping[str, Mapping[str, NDArray[Any]]],
-    coords: Mapping[str, xarray.Variable],
-    rows: Iterable[Array],
-    attrs: Mapping[str, Any],
-) -> xarray.Dataset:
-    """The arrays of cells by direction, which is a dimension if there are several, over `coords`."""
+    cells: Mapping[str, Mapping[str, NDArray[Any]]], coords: Mapping[str, xarray.Variable],
+    rows: Iterable[Array], attrs: Mapping[str, Any],
+) -> xarray.Dataset:  # fmt: skip
+    """A Dataset of arrays of cells over `coords`, by direction, which is a dimension if there are several."""
     directions, arrays = list(cells), list(cells.values())
     both = len(directions) > 1
     dims = ("direction",) * both + tuple(name for name, along in coords.items() if along.ndim)
     named = {row.name: row for row in rows}
     data = {
-        name: variable(dims, np.stack([each[name] for each in arrays]) if both else values, named[name])
+        name: variable(dims, np.stack([way[name] for way in arrays]) if both else values, named[name])
         for name, values in arrays[0].items()
     }
     direction = coordinate("direction", directions if both else directions[0])

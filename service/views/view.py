@@ -1,4 +1,4 @@
-"""What a result is: its query, its cost, how it is computed as a Dataset, and how it is drawn."""
+"""The parts of a result: its query, its cost, its computation as a Dataset, and its picture."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
 
-#: Of a spring, with the limits of a specification.
+#: Parameters of a spring, with the limits of a specification.
 Omega = Annotated[Number, Field(ge=SMALLEST, le=LARGEST)]
 Xi = Annotated[Number, Field(ge=0, le=LARGEST), AfterValidator(within(0.0, LARGEST))]
 
@@ -58,9 +58,9 @@ Hide = Annotated[
     ),
 ]
 
-#: Core-seconds of closed forms that are computed while the caller waits.
+#: Limit on the core-seconds of closed forms that are computed while the caller waits.
 AT_ONCE_SECONDS: Final = 1.0
-#: Core-seconds of closed forms that are small: the service computes them in its own process.
+#: Limit on the core-seconds of closed forms that the service computes in its own process.
 SMALL_SECONDS: Final = 0.1
 
 #: A function of `worker` and its arguments, which can be hashed.
@@ -81,10 +81,10 @@ class Estimate:
     thinned: tuple[str, ...] = ()  # dimensions that `every` thins
     every: int = 1
     reads: tuple[str, ...] = ()  # cell dimensions whose chunks are all read
-    memory: int = 0  # bytes of reading and computing, beside the answer
-    most: int | None = None  # points that can be computed, if fewer than an answer may have
+    memory: int = 0  # bytes for reading and computing, beside the answer
+    most: int | None = None  # limit on the points, if it is lower than that of answers
     seconds: float = 0.0  # of computing during the request
-    small: bool = True  # whether the computation is quick; the size of the read is judged beside it
+    small: bool = True  # whether the computation is quick, whatever the size of the read
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -119,19 +119,20 @@ class View:
     query: type[Query]
     compute: Callable[..., xarray.Dataset]
     estimate: Callable[[Any, Any], Estimate]  # of specification and query
-    variables: tuple[Array, ...]  # those that the Dataset can have
+    variables: tuple[Array, ...]  # that the Dataset can have
     rows: str | None = None  # the variable whose numbers are the rows of a table
-    finer_rows: str | None = None  # the one in its place where a Dataset has it
-    printed: tuple[str, ...] = ()  # those of the tables that the command prints; default: `rows`
+    finer_rows: str | None = None  # the variable that replaces `rows` if the Dataset has it
+    printed: tuple[str, ...] = ()  # rows of the tables that the command prints; default: `rows`
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
-    computes: bool = False  # during the request, for a second or more: few are computed at a time
-    #: What workers compute first, as functions of `worker` with their arguments; `compute` takes the results
-    #: in this order. Without any, as for what takes less than AT_ONCE_SECONDS, `compute` does it all. Calls
-    #: of one function stand together; calls that read the store of a job have its address as an argument.
+    computes: bool = False  # takes a second or more of the request: few are computed at a time
+    #: Calls that workers compute first: functions of `worker` with their arguments. `compute` gets the
+    #: results in this order. Without calls `compute` does all work, which then takes less than
+    #: AT_ONCE_SECONDS. Calls of one function stand together. Calls that read a job's store have its address
+    #: as an argument.
     parts: Callable[[Any, Any], Sequence[Call]] | None = None
-    #: Whether the parts, plain JSON values, stay with the job: they are computed once. The attribute
-    #: `sentence` of the Dataset then describes the job in files and pictures.
+    #: Whether the results of the calls, plain JSON values, are kept with the job. The attribute `sentence` of
+    #: the Dataset then describes the job in files and pictures.
     kept: bool = False
 
     @property

@@ -1,16 +1,16 @@
-"""How many cells of a stored sweep a computation that can be trusted would change: samples, computed again.
+"""The audit of a stored sweep: how many of its cells a reference would change, from samples computed again.
 
-Two questions, kept apart. `numerics`: the same contact, cell by cell with the scalar functions, without any
-early end, and windows LONGER times as long. `model`: the contact that the specification approximates, where
-it names one. Each cell of a ramp is computed again from the stored state of the cell before it, so that cells
-are independent of each other: what is audited is the step from cell to cell.
+There are two questions. `numerics` asks for the same contact, computed cell by cell with the scalar
+functions, without any early end, and with windows LONGER times as long. `model` asks for the contact that the
+specification approximates, if it names one. Each cell of a ramp is computed again from the stored state of
+the cell before. So cells are independent of each other, and the audit judges the step from cell to cell.
 
-A simple random sample has the interval of `worker.analysis.intervals`. That of `numerics` is drawn from the
-rest: cells that are not certified within the tolerance. Cells that are hard, the corners of the grid and
-cells next to another mode, are looked at besides, and do not enter any interval.
+A simple random sample has the interval of `worker.analysis.intervals`. The sample of `numerics` is drawn from
+the cells that are not certified within the tolerance. Hard cells are looked at besides, outside any interval:
+the corners of the grid, and cells next to another mode.
 
-The reference shares closed forms and root search with what it judges. So cells of a soft contact that are at
-rest or periodic are also followed from their last states by `stepped`, which has neither.
+The reference shares closed forms and root search with the sweep. So resting and periodic cells of a soft
+contact are also followed from their last states by `stepped`, which uses neither.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from kernel.labels import label_codes
 from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start, empty_line
-from kernel.stopping import check
 from worker import store
 from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.analysis.deviation import deviations
@@ -32,22 +31,21 @@ from worker.study import Chunk
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import mean_periods, period_seconds
-from worker.sweep.task import run_cells, starts_of
-from worker.work import FIRST_STEPS, plate_of
+from worker.sweep.task import run_cells, starts_of, to_end
+from worker.work import plate_of
 
-#: A cell, for what needs any.
+#: Any cell.
 _ANY: Final = (Cell(1.0, 1.0, 1.0),)
 #: Windows of the reference relative to the sweep's.
 LONGER: Final = 10
-#: Relative change of a start whose cell is undecided if its answer changes, too.
+#: Relative change of a start. The cell is undecided if its answer changes with it.
 MOVED: Final = 1e-12
-#: Hard cells looked at besides: next to another mode.
+#: Number of hard cells next to another mode.
 BESIDE: Final = 16
 #: Calls of `look` into which an audit is divided.
 PARTS: Final = 8
 
-#: The two time steps, contact / STEPS, whose flights are extrapolated: the error of `stepped` is of second
-#: order.
+#: The two time steps, contact / STEPS, whose flights are extrapolated: the error is of second order.
 STEPS: Final = (100, 200)
 #: Plate periods after which the time stepper is on its own cycle.
 FOLLOWED: Final = 20
@@ -55,27 +53,27 @@ FOLLOWED: Final = 20
 #: Core-seconds of references that one answer may take.
 MAX_SECONDS: Final = 3_600.0
 
-#: What is looked at: cells of the samples of the two questions, hard cells, points anywhere in the plane, the
-#: two cells of a threshold, and cells followed by time steps.
+#: The sets of cells: samples of both questions, hard cells, points anywhere in the plane, the two cells of a
+#: threshold, and cells followed by time steps.
 SETS: Final = ("numerics", "model", "besides", "area", "threshold", "integrator")
 
 _Array = NDArray[Any]
 
 
-#: What `look` returns of each cell, in lists: JSON holds them.
+#: Values that `look` returns for each cell, in lists, which JSON can hold.
 FIELDS: Final = (
     "set",  # index in SETS
     "unit",  # the cells of one threshold have the same number
     "direction",  # index
     "gamma", "omega", "xi",
-    "outcome", "bounces", "periods", "label",  # stored; of a point those of the nearest cell
+    "outcome", "bounces", "periods", "label",  # stored; for a point those of the nearest cell
     "true_outcome", "true_bounces", "true_periods", "true_label",  # of the reference
-    "deviation",  # of flights, rad: -1 if infinite, None if the cell has no flights of its own
+    "deviation",  # of flights, rad; -1: infinite, None: the cell has no flights of its own
     "undecided",
 )  # fmt: skip
 
 
-#: What `look` returns of the sweep.
+#: Values that `look` returns for the sweep.
 SIZES: Final = (
     "cells", "thresholds",
     "certified",  # cells whose flights are certified within the tolerance
@@ -85,16 +83,16 @@ SIZES: Final = (
 
 
 class _Drawn(NamedTuple):
-    """Cells to compute again: their stored indices, or for a point its parameters."""
+    """A cell, or a point near it, to compute again."""
 
     set: str
-    unit: int
-    cell: tuple[int, ...]  # indices: direction, xi, omega, gamma
+    unit: int  # number in its set; both cells of a threshold have the same
+    indices: tuple[int, ...]  # of the cell: direction, xi, omega, gamma
     point: Cell | None = None
 
 
 def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
-    """The contact that a sweep approximates, of which `model` is asked; None if it is its own."""
+    """The contact that a sweep approximates, for the question `model`; None if it computes that contact."""
     if isinstance(submitted.model, Auto):
         exact = submitted.model.exact
         return None if spec.model == exact else exact
@@ -115,10 +113,11 @@ def look(
     spec: SweepSpec, url: str, contact: Contact | None, cells: int, followed: int, seed: int,
     tolerance: float, part: int,
 ) -> dict[str, Any]:  # fmt: skip
-    """Compute a part of the drawn cells again; every part draws the same.
+    """Compute a part of the drawn cells again; every part draws the same cells.
 
-    contact: of the question `model`. cells: of each sample. followed: by time steps. tolerance: of flights,
-    rad. Returns the lists of FIELDS and the values of SIZES. Raises a `store.StoreError`.
+    contact: for the question `model`. cells: size of each sample. followed: number of cells followed by time
+    steps. tolerance: of flights, rad. Returns the lists of FIELDS and the values of SIZES. Raises a
+    `store.StoreError`.
     """
     names = ["outcome", "bounces", "periods"]
     names += [COMPUTED] * spec.fills_in + ["flight_error"] * spec.certifies
@@ -127,11 +126,11 @@ def look(
     mine = drawn[part::PARTS]
     rows: list[tuple[Any, ...]] = []
     for name in SETS:
-        chosen = [each for each in mine if each.set == name]
+        chosen = [cell for cell in mine if cell.set == name]
         if chosen and name == "integrator":
-            rows += (_followed(spec, url, grid, each, tolerance) for each in chosen)
+            rows += (_stepped(spec, url, grid, cell, tolerance) for cell in chosen)
         elif chosen:
-            rows += _looked_at(spec, url, grid, contact if name == "model" else None, chosen)
+            rows += _compared(spec, url, grid, contact if name == "model" else None, chosen)
     columns = zip(*rows, strict=True) if rows else ([] for _ in FIELDS)
     return {name: list(column) for name, column in zip(FIELDS, columns, strict=True)} | sizes
 
@@ -143,7 +142,7 @@ def _draw(
     spec: SweepSpec, grid: dict[str, _Array], with_model: bool, cells: int, followed: int, seed: int,
     tolerance: float,
 ) -> tuple[list[_Drawn], dict[str, Any]]:  # fmt: skip
-    """All cells to be looked at, and SIZES of what they are drawn from."""
+    """The cells of all sets, and the values of SIZES."""
     random = np.random.default_rng(seed)
     outcome = grid["outcome"]
     errors = grid.get("flight_error", np.full(outcome.shape, np.nan))
@@ -151,7 +150,7 @@ def _draw(
     drawn = list(_sample(random, "numerics", cells, ~certified))
     if with_model:
         drawn += _sample(random, "model", cells, np.ones_like(certified))
-    drawn += _besides(random, grid)
+    drawn += _hard_cells(random, grid)
     if spec.ramp_axis is None:
         drawn += _points(random, spec, cells // 2)
     lines = list(_thresholds(spec, outcome)) if spec.ramp_axis in (None, "gamma") else []
@@ -165,15 +164,15 @@ def _draw(
     return drawn, dict(zip(SIZES, sizes, strict=True))
 
 
-def _sample(random: np.random.Generator, name: str, cells: int, of: NDArray[np.bool_]) -> Iterator[_Drawn]:
-    """A simple random sample without replacement of the cells of a mask."""
-    population = np.flatnonzero(of)
+def _sample(random: np.random.Generator, name: str, cells: int, mask: NDArray[np.bool_]) -> Iterator[_Drawn]:
+    """A simple random sample, without replacement, of the cells of a mask."""
+    population = np.flatnonzero(mask)
     chosen = random.choice(population, min(cells, len(population)), replace=False)
-    for i, index in enumerate(np.stack(np.unravel_index(chosen, of.shape), axis=1).tolist()):
+    for i, index in enumerate(np.stack(np.unravel_index(chosen, mask.shape), axis=1).tolist()):
         yield _Drawn(name, i, tuple(index))
 
 
-def _besides(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_Drawn]:
+def _hard_cells(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_Drawn]:
     """The corners of the grid, and cells next to another outcome or mode."""
     outcome = grid["outcome"]
     key = outcome.astype(np.int64) + 16 * (grid["bounces"].astype(np.int64) + 2**20 * grid["periods"])
@@ -185,27 +184,25 @@ def _besides(random: np.random.Generator, grid: dict[str, _Array]) -> Iterator[_
     corners = set(product(range(outcome.shape[0]), *({0, n - 1} for n in outcome.shape[1:])))
     cells = np.flatnonzero(beside)
     chosen = random.choice(cells, min(BESIDE, len(cells)), replace=False)
-    places = sorted(corners | {tuple(map(int, np.unravel_index(i, outcome.shape))) for i in chosen})
-    return (_Drawn("besides", i, place) for i, place in enumerate(places))
+    indices = sorted(corners | {tuple(map(int, np.unravel_index(i, outcome.shape))) for i in chosen})
+    return (_Drawn("besides", i, index) for i, index in enumerate(indices))
 
 
 def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> Iterator[_Drawn]:
-    """Points anywhere in the sweep, evenly between its cells, with the nearest cell of each."""
-    values = [spec.axis_values(axis) for axis in AXES]
-    if all(len(each) == 1 for each in values):
+    """Points anywhere in the sweep, evenly between its cells, each with the nearest cell."""
+    axes = [spec.axis_values(axis) for axis in AXES]
+    if all(len(values) == 1 for values in axes):
         return
     for i in range(number):
-        place = [random.uniform(-0.5, len(each) - 0.5) if len(each) > 1 else 0.0 for each in values]
-        inside = [min(max(at, 0.0), len(each) - 1.0) for at, each in zip(place, values, strict=True)]
-        xi, omega, gamma = (
-            float(np.interp(at, np.arange(len(each)), each)) for at, each in zip(inside, values, strict=True)
-        )
-        nearest = tuple(round(at) for at in inside)
-        yield _Drawn("area", i, (0, *nearest), Cell(gamma, omega, xi))
+        drawn = [random.uniform(-0.5, len(values) - 0.5) if len(values) > 1 else 0.0 for values in axes]
+        places = [min(max(x, 0.0), len(values) - 1.0) for x, values in zip(drawn, axes, strict=True)]
+        along = zip(places, axes, strict=True)
+        xi, omega, gamma = (float(np.interp(x, np.arange(len(values)), values)) for x, values in along)
+        yield _Drawn("area", i, (0, *map(round, places)), Cell(gamma, omega, xi))
 
 
 def _thresholds(spec: SweepSpec, outcome: _Array) -> Iterator[tuple[tuple[int, ...], ...]]:
-    """The cells at rest and bouncing beside each threshold that the grid shows."""
+    """The two cells of each threshold on the grid: the one at rest and the one that bounces."""
     if outcome.shape[-1] < 2:
         return
     for xi, value in enumerate(spec.axis_values("xi")):
@@ -220,40 +217,46 @@ def _thresholds(spec: SweepSpec, outcome: _Array) -> Iterator[tuple[tuple[int, .
 # Looking
 
 
-def _looked_at(
+def _compared(
     spec: SweepSpec, url: str, grid: dict[str, _Array], contact: Contact | None, drawn: Sequence[_Drawn]
 ) -> Iterator[tuple[Any, ...]]:
-    """The values of FIELDS for each of the drawn cells, all of one set."""
-    cells = [each.point or _cell(spec, each.cell) for each in drawn]
-    starts = [_start(spec, url, each.cell) for each in drawn]
-    true = reference(spec, cells, starts, contact)
-    beside = reference(spec, *moved(cells, starts), contact)
-    kept = _stored(spec, url, grid, drawn)
-    apart = deviations(true, kept, spec.micro_flight)
-    label, true_label = _labels(spec, kept, 1), _labels(spec, true, LONGER)
-    for i, each in enumerate(drawn):
-        own = each.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][each.cell]))
-        settles = true.outcome[i] in (Outcome.SETTLING, Outcome.UNRESOLVED)
-        flips = any(getattr(true, name)[i] != getattr(beside, name)[i] for name in schema.MODE_ARRAYS)
+    """The values of FIELDS for drawn cells of one set."""
+    cells = [cell.point or _cell(spec, cell.indices) for cell in drawn]
+    starts = [_start(spec, url, cell.indices) for cell in drawn]
+    true, undecided = reference(spec, cells, starts, contact)
+    stored = _stored(spec, url, grid, drawn)
+    apart = deviations(true, stored, spec.micro_flight)
+    label, true_label = _labels(spec, stored, 1), _labels(spec, true, LONGER)
+    for i, cell in enumerate(drawn):
+        own = cell.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][cell.indices]))
         deviation = None
         if own and not np.isnan(apart[i]):
             deviation = float(apart[i]) if np.isfinite(apart[i]) else -1.0
         yield (
-            SETS.index(each.set), each.unit, each.cell[0], *cells[i],
-            *(int(getattr(kept, name)[i]) for name in schema.MODE_ARRAYS), int(label[i]),
+            SETS.index(cell.set), cell.unit, cell.indices[0], *cells[i],
+            *(int(getattr(stored, name)[i]) for name in schema.MODE_ARRAYS), int(label[i]),
             *(int(getattr(true, name)[i]) for name in schema.MODE_ARRAYS), int(true_label[i]),
-            deviation, bool(settles or flips),
+            deviation, bool(undecided[i]),
         )  # fmt: skip
 
 
 def reference(
     spec: SweepSpec, cells: Sequence[Cell], starts: Sequence[Start | None], contact: Contact | None = None
-) -> Line:
-    """These cells as they can be trusted, each from its start, or from rest.
+) -> tuple[Line, NDArray[np.bool_]]:
+    """The reference of n cells, each from its start or from rest, and which of them it leaves undecided (n,).
 
-    contact: another one than the sweep's.
+    contact: by default the sweep's. A cell is undecided if it still settles, or if its answer changes when
+    its start moves by MOVED.
     """
-    return _computed(_reference(spec, cells, starts, contact))
+    true = to_end(_reference(spec, cells, starts, contact))
+    differ = modes_differ(true, to_end(_reference(spec, *_moved(cells, starts), contact)))
+    return true, differ | np.isin(true.outcome, (Outcome.SETTLING, Outcome.UNRESOLVED))
+
+
+def modes_differ(a: Line, b: Line) -> NDArray[np.bool_]:
+    """Which cells have another outcome or mode in the other line, (n,)."""
+    differ = [getattr(a, name) != getattr(b, name) for name in schema.MODE_ARRAYS]
+    return np.asarray(np.any(differ, axis=0))
 
 
 def is_compiled(spec: SweepSpec, contact: Contact | None) -> bool:
@@ -262,7 +265,7 @@ def is_compiled(spec: SweepSpec, contact: Contact | None) -> bool:
 
 
 def compile_for(spec: SweepSpec) -> None:
-    """Compile what `reference` of a sweep's own contact runs, or load it."""
+    """Compile, or load, the functions that `reference` runs for a sweep's own contact."""
     _reference(spec, _ANY, [None], None).advance(1)
 
 
@@ -271,7 +274,7 @@ def _reference(
 ) -> LineRun:
     settle, observe = (LONGER * max(periods, 1) for periods in spec.window)
     until = spec.settles_until
-    return _begun(
+    return _scalar_run(
         contact or spec.model, cells, starts, settle=settle, observe=observe,
         settle_until=None if until is None else LONGER * until,
         keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight,
@@ -279,57 +282,52 @@ def _reference(
     )  # fmt: skip
 
 
-def _begun(model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any) -> LineRun:
-    """Cells by the scalar functions, each from its start, or from rest."""
+def _scalar_run(
+    model: Contact, cells: Sequence[Cell], starts: Sequence[Start | None], **window: Any
+) -> LineRun:
+    """Cells by the scalar functions, each from its start or from rest, at their beginning."""
     gamma, omega, xi = np.array(cells, np.float64).reshape(-1, 3).T.copy()
     plate = plate_of(model, gamma, omega, xi)
     return LineRun(gamma, omega, xi, plate=plate, carry=True, start=list(starts), in_lanes=False, **window)
 
 
-def _computed(run: LineRun) -> Line:
-    while not run.advance(FIRST_STEPS):
-        check()
-    return run.line
-
-
 def followed_seconds(spec: SweepSpec) -> float:
     """Core-seconds of a cell followed by time steps, by the table of contact models."""
-    periods = FOLLOWED + 8
-    return sum(periods * period_seconds(spec.model_copy(update={"model": each})) for each in steppers(spec))
+    stepped = (spec.model_copy(update={"model": model}) for model in steppers(spec))
+    return sum((FOLLOWED + 8) * period_seconds(sweep) for sweep in stepped)
 
 
 def reference_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of the reference of one cell, with its start and moved, by the table of contact models."""
+    """Core-seconds of the reference of one cell, from both starts, by the table of contact models."""
     return 2.0 * LONGER * mean_periods(spec) * period_seconds(spec, alone=True)
 
 
-def _followed(
-    spec: SweepSpec, url: str, grid: dict[str, _Array], each: _Drawn, tolerance: float
+def _stepped(
+    spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: _Drawn, tolerance: float
 ) -> tuple[Any, ...]:
     """The values of FIELDS for a cell at rest or periodic, followed from its last state by time steps.
 
     Undecided if the two time steps differ by more than the tolerance.
     """
-    cell, kept = _cell(spec, each.cell), _stored(spec, url, grid, [each])
+    cell, stored = _cell(spec, drawn.indices), _stored(spec, url, grid, [drawn])
     gamma, omega, xi = np.array([cell]).T
-    ended = run_cells(spec, gamma, omega, xi, _start(spec, url, each.cell)).end_state[0]
+    ended = run_cells(spec, gamma, omega, xi, _start(spec, url, drawn.indices)).end_state[0]
     start = Start(np.ascontiguousarray(ended), cell)
-    bounces, periods = int(kept.bounces[0]), max(int(kept.periods[0]), 1)
+    bounces, periods = int(stored.bounces[0]), max(int(stored.periods[0]), 1)
     window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
-    coarse, fine = (_computed(_begun(model, [cell], [start], **window)) for model in steppers(spec))
-    flights = [_last(line, spec.micro_flight, bounces) for line in (kept, coarse, fine)]
-    deviation, decided = -1.0, len(flights[1]) == len(flights[2])
-    if decided and len(flights[0]) == len(flights[2]):
-        twice = (STEPS[1] / STEPS[0]) ** 2
-        extrapolated = flights[2] + (flights[2] - flights[1]) / (twice - 1.0)
-        deviation = float(np.max(np.abs(np.sort(extrapolated) - np.sort(flights[0])), initial=0.0))
-        decided = bool(np.max(np.abs(flights[2] - flights[1]), initial=0.0) <= tolerance)
-    stored = (int(kept.outcome[0]), bounces, int(kept.periods[0]), int(_labels(spec, kept, 1)[0]))
-    return (SETS.index(each.set), each.unit, each.cell[0], *cell, *stored, *stored, deviation, not decided)
+    lines = [stored, *(to_end(_scalar_run(model, [cell], [start], **window)) for model in steppers(spec))]
+    own, coarse, fine = (_last(line, spec.micro_flight, bounces) for line in lines)
+    deviation, decided = -1.0, len(coarse) == len(fine)
+    if decided and len(own) == len(fine):
+        extrapolated = fine + (fine - coarse) / ((STEPS[1] / STEPS[0]) ** 2 - 1.0)
+        deviation = float(np.max(np.abs(np.sort(extrapolated) - np.sort(own)), initial=0.0))
+        decided = bool(np.max(np.abs(fine - coarse), initial=0.0) <= tolerance)
+    mode = (int(stored.outcome[0]), bounces, int(stored.periods[0]), int(_labels(spec, stored, 1)[0]))
+    return (SETS.index(drawn.set), drawn.unit, drawn.indices[0], *cell, *mode, *mode, deviation, not decided)
 
 
 def _last(line: Line, micro_flight: float, bounces: int) -> _Array:
-    """The flights of the last cycle of the first cell, rad; all of them longer than `micro_flight`."""
+    """The flights longer than `micro_flight` in the last cycle of the first cell, rad."""
     flights = line.flight_time[0, : line.flights[0]]
     flights = flights[flights > micro_flight]
     return flights[len(flights) - bounces :] if bounces else flights
@@ -341,41 +339,38 @@ def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:
 
 
 def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:
-    """Where a cell of the sweep starts; None from rest."""
+    """The start of a cell of the sweep; None from rest."""
     direction, *cell = index
     chunk = Chunk(0, tuple((i, i + 1) for i in cell), direction)
     return starts_of(spec, chunk, url, complete=True).get((0, 0))
 
 
-def moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:
-    """The same with each start moved by MOVED; from rest gamma is, which moves it as much."""
-    there: list[Cell] = []
-    moved: list[Start | None] = []
-    for cell, start in zip(cells, starts, strict=True):
+def _moved(cells: Sequence[Cell], starts: Sequence[Start | None]) -> tuple[list[Cell], list[Start | None]]:
+    """The cells with each start moved by MOVED; from rest gamma moves instead."""
+    moved_cells, moved_starts = list(cells), list(starts)
+    for i, (cell, start) in enumerate(zip(cells, starts, strict=True)):
         if start is None:
-            there.append(cell._replace(gamma=cell.gamma * (1.0 + MOVED)))
-            moved.append(None)
+            moved_cells[i] = cell._replace(gamma=cell.gamma * (1.0 + MOVED))
         else:
             state = np.array(start.state)
             state[4] += MOVED * max(1.0, abs(state[4]))
-            there.append(cell)
-            moved.append(start._replace(state=state))
-    return there, moved
+            moved_starts[i] = start._replace(state=state)
+    return moved_cells, moved_starts
 
 
 def _stored(spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: Sequence[_Drawn]) -> Line:
-    """The stored record of the cells, of points that of the nearest."""
+    """The stored record of the cells; for a point that of the nearest cell."""
     exponents = ("lyapunov", "lyapunov_error") if spec.exponents else ()
     names = ("flight_time", "takeoff_phase", "flights", *exponents)
-    cells: list[dict[str, Any]] = [dict(zip(CELL_DIMS, each.cell, strict=True)) for each in drawn]
+    cells: list[dict[str, Any]] = [dict(zip(CELL_DIMS, cell.indices, strict=True)) for cell in drawn]
     parts = [store.read_slice(url, names, complete=True, **cell) for cell in cells]
     records = {name: np.stack([part[name] for part in parts]) for name in names}
-    modes = {name: np.array([grid[name][each.cell] for each in drawn]) for name in schema.MODE_ARRAYS}
+    modes = {name: np.array([grid[name][cell.indices] for cell in drawn]) for name in schema.MODE_ARRAYS}
     return empty_line(len(drawn), spec.keep, spec.exponents)._replace(**records, **modes)
 
 
 def _labels(spec: SweepSpec, line: Line, longer: int) -> NDArray[np.uint8]:
-    """The labels of cells, of a sweep without exponents their outcomes."""
+    """The labels of cells; their outcomes in a sweep without exponents."""
     if not line.lyapunov.shape[1]:
         return line.outcome
     return label_codes(line.outcome, line.lyapunov, line.lyapunov_error, longer * spec.observe)

@@ -1,12 +1,12 @@
 """Thresholds of bouncing: read from a sweep's grid, and refined beyond the grid.
 
 A grid has a threshold if its cells are at rest up to some gamma and the next cell bounces. From rest it is
-refined by bisection. On a ramp the refinement continues from the stored state of the last cell before the
-change, in smaller steps. A step whose cell is beyond the change is halved and repeated from the cell before:
-the step itself excites the spring, more so with less damping, and may have caused the change. This ends when
-neither the step, nor the sum of the last accepted steps of its size, exceeds half the tolerance.
+refined by bisection. On a ramp the refinement continues in smaller steps from the stored state of the last
+cell before the change. A step beyond the change is halved and repeated from the cell before: the step itself
+excites the spring, more so with less damping, and may have caused the change. The refinement ends when
+neither the step, nor the sum of the accepted steps of its size, exceeds half the tolerance.
 
-Just below the fold where a cycle ends, bouncing lasts for long without a cycle. So a cell of a refinement
+Just below the fold at which a cycle ends, bouncing lasts for long without a cycle. So a cell of a refinement
 bounces if its cycle is certified, or if it is aperiodic after PATIENCE plate periods.
 """
 
@@ -26,14 +26,14 @@ from worker.sweep import SweepSpec
 from worker.sweep.specification import UNTIL
 from worker.sweep.task import run_cells
 
-#: Maximum cells computed for one threshold on a ramp; beyond it the threshold is not refined.
+#: Limit on the cells computed for one threshold on a ramp.
 MAX_CELLS: Final = 2_000
 
 #: Typical number of cells per threshold, to estimate the cost of a request.
 TYPICAL_CELLS: Final = 40
 
-#: Plate periods before the window of a refinement's cell that is not certified, and all that one that still
-#: settles may take.
+#: Plate periods before the window of a refinement's cell that is not certified, and the limit for one that
+#: still settles.
 PATIENCE: Final = UNTIL
 SETTLES_UNTIL: Final = 4 * UNTIL
 
@@ -69,9 +69,9 @@ _BY_OUTCOME: Final = {
 class OnGrid(NamedTuple):
     """The threshold on one line of cells along gamma.
 
-    The threshold is between the cells `resting` and `bouncing`, indices along gamma; None where no two cells
-    bracket it. They are neighbours if it was found; otherwise the cells between them are undecided, and
-    refinement may decide them.
+    resting, bouncing: indices along gamma of the cells that bracket it; None if no two cells do. They are
+    neighbours if the threshold was found. Otherwise the cells between are undecided, and refinement may
+    decide them.
     """
 
     status: Status
@@ -101,17 +101,17 @@ def on_grid(outcome: NDArray[np.uint8], down: bool, endless: bool) -> OnGrid:
     status = _BY_OUTCOME[int(outcome[lowest])]
     if lowest == 0:
         return OnGrid(Status.BELOW if status is Status.FOUND else status)
-    telling = np.flatnonzero(np.isin(outcome[lowest:], (*BOUNCING, Outcome.AT_REST, Outcome.MISSING)))
-    next_telling = lowest + int(telling[0]) if len(telling) else None
-    if next_telling is None or outcome[next_telling] not in BOUNCING:
+    deciding = np.isin(outcome[lowest:], (*BOUNCING, Outcome.AT_REST, Outcome.MISSING))
+    decided = lowest + np.flatnonzero(deciding)
+    if not len(decided) or outcome[decided[0]] not in BOUNCING:
         return OnGrid(status)
-    return OnGrid(status, lowest - 1, next_telling)
+    return OnGrid(status, lowest - 1, int(decided[0]))
 
 
 def endless_rest(spec: SweepSpec, omega: NDArray[np.float64], xi: float) -> NDArray[np.bool_]:
-    """(n,) whether a spring at rest bounces at no gamma that a specification may have, by Eq. 25.
+    """Whether springs at rest (n,) bounce at no gamma that a specification may have, by Eq. 25.
 
-    This holds without damping at sqrt(2). A ball bounces everywhere above 1.
+    An undamped spring at omega = sqrt(2) is one. A ball bounces everywhere above 1.
     """
     if spec.model.kind == "ball":
         return np.zeros(len(omega), np.bool_)
@@ -147,7 +147,7 @@ def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], to
 def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:
     """The threshold on the line of cells at indices (direction, xi, omega).
 
-    Deciding cells that were filled in from others are computed first.
+    Cells that decide it but were filled in from others are computed first.
     """
     direction, xi, omega = line
     names = ("outcome", COMPUTED) if spec.fills_in else ("outcome",)
@@ -168,7 +168,7 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
 
 
 def _patient(spec: SweepSpec) -> SweepSpec:
-    """The specification of a refinement's cells: only the outcome counts, and settling may take longer."""
+    """The specification of a refinement's cells: they keep only the outcome, and may settle for longer."""
     until = max(spec.settles_until or 0, SETTLES_UNTIL, PATIENCE + spec.observe)
     return spec.model_copy(update={"keep": 1, "exponents": 0, "settle": "auto", "until": until})
 
@@ -219,7 +219,7 @@ def _ramp_on(
 ) -> tuple[float, Status]:
     """On a ramp: the threshold beyond `start`, less than the signed `step` away.
 
-    Not refined after MAX_CELLS cells, or below the lowest gamma of specifications.
+    NOT_REFINED after MAX_CELLS cells, and below the lowest gamma of specifications.
     """
     same, changed = (BOUNCING, (Outcome.AT_REST,)) if down else ((Outcome.AT_REST,), BOUNCING)
     advance = 0.0  # sum of the accepted steps since the last halving
@@ -234,7 +234,7 @@ def _ramp_on(
             continue
         # An undecided cell starts no further cell: a smaller step may decide.
         if max(abs(step), advance) <= 0.5 * tolerance:
-            if outcome not in changed:  # as a cell at the threshold itself may be
+            if outcome not in changed:  # a cell at the threshold itself may be undecided
                 further, _ = _run(spec, cell._replace(gamma=cell.gamma + step), start)
                 if further not in changed:
                     return math.nan, _BY_OUTCOME[outcome]

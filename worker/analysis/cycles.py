@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import (
-    Followed,
     both_ways,
     branches,
     branches_at,
@@ -21,9 +20,9 @@ from kernel.cycles.any_contact import (
 )
 from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
-from kernel.cycles.cycles import Cycles, Point, confirmed, cycle_from
+from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from
 from kernel.cycles.events import Branch, Events, Kind, join_events
-from kernel.cycles.follow import RANGE, End, Event, ahead, follow, happens
+from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, follow, happens
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
@@ -34,34 +33,34 @@ from worker.work import plate_of
 
 Floats = NDArray[np.float64]
 
-#: Flights that count are longer, rad.
+#: Flights longer than this, rad, count as bounces.
 MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
 
-#: Core-seconds of a cycle on its way, most of all of those with many hops.
+#: Core-seconds of a cycle on a branch; cycles with many hops take most.
 CYCLE_SECONDS: Final = 2e-3
 
-#: Branches followed per line of cells, plate periods of their cycles, and points per branch and direction.
+#: Limits on the branches followed per line of cells, on the plate periods of their cycles, and on the points
+#: of a branch in each direction.
 MAX_BRANCHES: Final = 12
 MAX_PERIODS: Final = 16
+POINTS: Final = 400
 
 #: Settled cells of lowest Gamma in a line whose cycles are followed to their ends.
 LOWEST: Final = 3
-POINTS: Final = 400
 
-
-#: Kinds of curves of a contact.
+#: Kinds of events whose curves are followed for any contact.
 CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
-#: Values at which curves are looked for, steps of a curve, and the part of a step after which it ends.
+#: Values of the parameter at which curves are sought, steps over its range, and the smallest part of a step.
 SECTIONS: Final = 5
 STEPS: Final = 60
-#: Core-seconds of the curves of a mode, at most.
-CURVES_SECONDS: Final = 6.0
 _LEAST_STEP: Final = 0.05
-#: The secant rule: its first step along a branch, the last, and how many.
+#: Most core-seconds of the curves of a mode.
+CURVES_SECONDS: Final = 6.0
+#: The secant rule: its first step along a branch, its last, and the limit on steps.
 _SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 12
-#: A zero further along a branch is another event.
+#: A zero farther along a branch is another event.
 _FAR: Final = 0.2
-#: A curve passes through an event that is closer, in Gamma and rad.
+#: A curve passes through an event within this, in Gamma and rad.
 _NEAR_CURVE: Final = 1e-2
 
 
@@ -82,68 +81,75 @@ class FollowedCycles(NamedTuple):
     skipped: tuple[Skipped, ...] = ()
 
 
+def plate_at(contact: Contact, gamma: float, omega: float, xi: float) -> Any:
+    """The kernel's plate for one cell."""
+    return plate_of(contact, *(np.full(1, value) for value in (gamma, omega, xi)))
+
+
 def follow_cycles(
     contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int, twice: bool
 ) -> FollowedCycles:
     """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
 
-    twice: those `_doubled`, too, and all flights of each. Runs on workers, which compile for it. Raises
-    KernelInputError.
+    twice: with the branches of twice the period, and with all flights of each cycle. Runs on workers, which
+    compile for it. Raises KernelInputError.
     """
-    plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
     span = RANGE[0], gamma_max
+    plate = plate_at(contact, gamma_max, omega, xi)
     lines = branches(plate, omega, xi, periods, span=span, points=points)
-    return _cycles(lines + _doubled(lines, span, points), flights=True) if twice else _cycles(lines)
+    if twice:
+        lines += _doubled(lines, span, points)
+    return _recorded(lines, flights=twice)
 
 
 def follow_along(
     contact: Contact, cell: Cell, periods: int, along: str, span: tuple[float, float], points: int,
     twice: bool,
 ) -> FollowedCycles:  # fmt: skip
-    """The branches along "omega" or "xi" within `span`, as `follow_cycles`, through the cycles of a cell."""
-    plate = plate_of(contact, *(np.full(1, value) for value in cell))
-    lines = branches_at(plate, cell, periods, along, span, points=points)
-    return _cycles(lines + _doubled(lines, span, points), flights=True) if twice else _cycles(lines)
+    """The branches along "omega" or "xi" within `span` through the cycles of a cell, as `follow_cycles`."""
+    lines = branches_at(plate_at(contact, *cell), cell, periods, along, span, points=points)
+    if twice:
+        lines += _doubled(lines, span, points)
+    return _recorded(lines, flights=twice)
 
 
 def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> list[Followed]:
-    """The branches of twice the periods that begin at flips of others, unless known: MAX_BRANCHES at most."""
+    """The branches of twice the period that begin at flips, without known ones: at most MAX_BRANCHES."""
     new: list[Followed] = []
     for flip in (event.point for line in lines for event in line.events if event.kind is Kind.FLIP):
         first = doubled(flip) if len(new) < MAX_BRANCHES else None
         if first is None or any(lies_on(first, line) for line in lines + new):
             continue
-        line = Followed(*up_to_shorter(*follow(first, 0.0, points=points, span=span)))
-        # beside the flip its two branches are too close to tell
+        line = up_to_shorter(follow(first, 0.0, points=points, span=span))
+        # near the flip the two branches are too close to tell apart
         middle = line.points[len(line.points) // 2]
         if not any(lies_on(middle, other) for other in lines + new):
             new.append(line)
     return new
 
 
-def _cycles(
+def _recorded(
     lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = (), flights: bool = False
 ) -> FollowedCycles:
-    """Their record; flights: whether `flight_time` is (n, flights), the longest first, of all that count."""
-    found = [record(line.points, micro_flight) for line in lines]
+    """The record of branches; `flights`: their `flight_time` is that of `_longest_first`."""
+    records = [record(line.points, micro_flight) for line in lines]
     if flights:
-        each = (_longest_first(line.points, micro_flight) for line in lines)
-        found = [branch._replace(flight_time=t) for branch, t in zip(found, each, strict=True)]
-    return FollowedCycles(
-        tuple(found), tuple(event_record(line.events, micro_flight) for line in lines), tuple(skipped)
-    )
+        tables = (_longest_first(line.points, micro_flight) for line in lines)
+        records = [branch._replace(flight_time=t) for branch, t in zip(records, tables, strict=True)]
+    events = tuple(event_record(line.events, micro_flight) for line in lines)
+    return FollowedCycles(tuple(records), events, tuple(skipped))
 
 
 def follow_cells(
     spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool,
     twice: bool,
 ) -> FollowedCycles:  # fmt: skip
-    """The branches of the cycles that the cells along gamma at these indices of the grid settled to.
+    """The branches of the cycles to which the cells along gamma at these indices settled.
 
-    Of flights that count, each cycle has all, the longest first. A cell whose cycle lies on an earlier branch
-    is not followed again; the shortest cycles are followed first. Raises a `store.StoreError`.
+    Each cycle has all flights that count, the longest first. The shortest cycles are followed first. A cell
+    whose cycle lies on a followed branch is left out. Raises a `store.StoreError`.
     """
-    followed: list[tuple[Point, Followed]] = []  # and the cycle that each began at
+    followed: list[tuple[Point, Followed]] = []  # the first cycle of each branch, and the branch
     skipped: list[Skipped] = []
     cells = settled_cells(spec, url, (direction, xi, omega), complete)
     for settled in sorted(cells, key=lambda settled: settled.periods):
@@ -161,24 +167,24 @@ def follow_cells(
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
             new = both_ways(seed, (RANGE[0], gamma_max), POINTS)
-            # a branch that ended early is a part of it
+            # an earlier branch that was cut off is a part of the new one
             followed = [(other, line) for other, line in followed if not lies_on(other, new)]
             followed.append((seed, new))
     lines = [line for _, line in followed]
     if twice:
         lines += _doubled(lines, (RANGE[0], gamma_max), POINTS)
-    return _cycles(lines, spec.micro_flight, skipped, flights=True)
+    return _recorded(lines, spec.micro_flight, skipped, flights=True)
 
 
 def cycle_near(
     contact: Contact, cell: Cell, periods: int, flight_time: float
 ) -> tuple[Branch, Floats] | None:
-    """Of the cycles of a contact at a cell the one whose longest flight takes nearest to flight_time, rad.
+    """The cycle of a contact at a cell whose longest flight is nearest to flight_time, rad.
 
-    As a branch of one point, with the state (6,) at its beginning; None if there is none on the branches of
-    `follow_cycles`. Raises KernelInputError.
+    Returns it as a branch of one point, with the state (6,) at its beginning; None if the branches of
+    `follow_cycles` have no cycle there. Raises KernelInputError.
     """
-    plate = plate_of(contact, *(np.full(1, value) for value in cell))
+    plate = plate_at(contact, *cell)
     span = RANGE[0], max(RANGE[1], cell.gamma)
     lines = branches(plate, float(cell.omega), float(cell.xi), periods, span=span)
     points = [point for line in lines for point in passing(line, float(cell.gamma))]
@@ -194,10 +200,10 @@ class Settled(NamedTuple):
     cell: Cell
     bounces: int
     periods: int
-    state: Floats | None  # (6,) at its end; None: it began at rest, and nothing of it is stored
+    state: Floats | None  # (6,) at its end; None: the cell began at rest, and its state is not stored
 
     def cycle(self, spec: SweepSpec) -> Point | None:
-        """Its cycle, or None if none is near its state; a cell from rest is computed again."""
+        """The cycle near the cell's state, or None. A cell from rest is computed again."""
         gamma, omega, xi = (np.full(1, value) for value in self.cell)
         state = run_cells(spec, gamma, omega, xi, None).end_state[0] if self.state is None else self.state
         return cycle_from(plate_of(spec.model, gamma, omega, xi), self.cell, self.periods, state)
@@ -213,7 +219,7 @@ def settled_cells(spec: SweepSpec, url: str, line: tuple[int, int, int], complet
     arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
     spring = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
     gamma = spec.axis_values("gamma").tolist()
-    # a cell that is filled in from another has no flights
+    # a cell filled in from another has no flights
     return [
         Settled(
             Cell(gamma[i], *spring), int(arrays["bounces"][i]), int(arrays["periods"][i]),
@@ -226,10 +232,9 @@ def settled_cells(spec: SweepSpec, url: str, line: tuple[int, int, int], complet
 def lowest_cells(
     spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool
 ) -> tuple[list[Settled], float]:
-    """The periodic cells of lowest Gamma, up to LOWEST, and the lowest Gamma that bounces.
+    """Up to LOWEST periodic cells of lowest Gamma, and the lowest Gamma that bounces, infinite if none does.
 
-    Of a line at indices (direction, xi, omega); Gamma is infinite if no cell bounces. Raises a
-    `store.StoreError`.
+    line: indices (direction, xi, omega). Raises a `store.StoreError`.
     """
     direction, xi, omega = line
     outcome = store.read_slice(url, ["outcome"], direction=direction, xi=xi, omega=omega, complete=complete)
@@ -239,12 +244,12 @@ def lowest_cells(
 
 
 def _longest_first(points: list[Point], micro_flight: float) -> Floats:
-    """(n, flights) of each cycle those that count, at least one, rad; NaN beyond."""
+    """The flights of each cycle that count, at least one, longest first: (n, flights), rad; NaN beyond."""
     flights = [sorted(point.flights, reverse=True) for point in points]
-    times = [[t for t in each if t > micro_flight] or each[:1] for each in flights]
-    table = np.full((len(points), max(map(len, times))), np.nan)
-    for row, each in zip(table, times, strict=True):
-        row[: len(each)] = each
+    counted = [[t for t in times if t > micro_flight] or times[:1] for times in flights]
+    table = np.full((len(points), max(map(len, counted))), np.nan)
+    for row, times in zip(table, counted, strict=True):
+        row[: len(times)] = times
     return table
 
 
@@ -252,16 +257,16 @@ def follow_curves(
     contact: Contact, along: Parameter, fixed: float, span: tuple[float, float], periods: int,
     kinds: tuple[Kind, ...], gamma_max: float,
 ) -> Curves:  # fmt: skip
-    """Curves of the events on a contact's branches over `along`, the other parameter being `fixed`.
+    """Curves of the events on a contact's branches over `along` in `span`, the other parameter at `fixed`.
 
-    An event on a branch along Gamma is followed both ways in small steps, until it is none of the spring's.
-    Finds every curve that crosses one of SECTIONS evenly spaced values; cusps end curves. Raises
+    Events on branches along Gamma are followed both ways in small steps, up to cusps and as long as their
+    cycle is admissible. Finds every curve that crosses one of SECTIONS evenly spaced values. Raises
     KernelInputError.
     """
     curves: list[list[Event]] = []
     for value in np.linspace(*span, SECTIONS).tolist():
         omega, xi = (value, fixed) if along is Parameter.OMEGA else (fixed, value)
-        plate = plate_of(contact, np.full(1, gamma_max), np.full(1, omega), np.full(1, xi))
+        plate = plate_at(contact, gamma_max, omega, xi)
         for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
             for event in line.events:
                 if event.kind not in kinds or is_doubled(event.point):
@@ -274,25 +279,25 @@ def follow_curves(
 
 
 def _along(event: Event, along: Parameter, step: float, span: tuple[float, float]) -> Iterator[Event]:
-    """The same event at further values of a parameter, `step` apart, less where it would be lost."""
+    """The same event at further values of a parameter, `step` apart, or less to keep it."""
     smallest = abs(step) * _LEAST_STEP
-    last, way = event.point, np.zeros_like(event.point.x)  # how its unknowns change with the parameter
+    last, slope = event.point, np.zeros_like(event.point.x)  # of the unknowns by the parameter
     while abs(step) > smallest:
         value = getattr(last.cycles, along) + step
         if not span[0] - 1e-12 <= value <= span[1] + 1e-12:
             return
         cycles = last.cycles._replace(**{along: value})
-        point = _event_at(cycles, last.x + step * way, last.tangent, event.kind)
+        point = _event_at(cycles, last.x + step * slope, last.tangent, event.kind)
         if point is None:
             step *= 0.5
             continue
         yield Event(event.kind, point)
-        way = (point.x - last.x) / step if point.letters == last.letters else np.zeros_like(point.x)
+        slope = (point.x - last.x) / step if point.letters == last.letters else np.zeros_like(point.x)
         last = point
 
 
 def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> Point | None:
-    """The zero of a test on a branch near x (m,), by the secant rule, if the spring has that cycle."""
+    """The event of a kind on the branch near x (m,), by the secant rule; None if it is not admissible."""
     node = cycles.newton(x, tangent)
     if node is None:
         return None
@@ -309,10 +314,7 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
         if not abs(b) < _FAR:
             return None
         point = ahead(node, b)
-    if point is None or not happens(kind, point):
-        return None
-    point, broken = confirmed(point)
-    return point if broken is None else None
+    return admissible(point) if point is not None and happens(kind, point) else None
 
 
 def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:
@@ -320,10 +322,10 @@ def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -
     if curve[0].kind is not event.kind:
         return False
     away = np.round([getattr(other.point.cycles, along) - value for other in curve], 12)
-    here, *points = ([x.point.parameter, max(x.point.flights)] for x in (event, *curve))
+    place, *points = ([x.point.parameter, max(x.point.flights)] for x in (event, *curve))
     for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
         part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
         a, b = np.array(points[i : i + 2])
-        if np.abs(a + part * (b - a) - here).max() < _NEAR_CURVE:
+        if np.abs(a + part * (b - a) - place).max() < _NEAR_CURVE:
             return True
     return False

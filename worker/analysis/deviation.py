@@ -8,39 +8,40 @@ from numpy.typing import NDArray
 
 from kernel.params import Line, Outcome
 
-#: Longest common cycle, in plate periods, over which two periodic cells are compared flight by flight.
+#: Two periodic cells are compared flight by flight over common cycles of up to this many plate periods.
 LONGEST_CYCLE: Final = 128
 
 #: Quantiles that compare the distributions of flights that do not repeat.
 QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 
-#: A difference of distributions counts beyond this many times their scatter. Two windows of one chaotic cell
-#: differ by their scatter: of 1,128 such cells 94.2% agree with their own next window with a factor of 2,
-#: fewer than a model must hold (`model_selection.MOST_BEYOND`), and 97.5% with 2.5, which misses one in
-#: ten differences between `rigid` and `ball`. This value misses 4 in 100.
+#: A difference of distributions counts beyond this multiple of their scatter, by which two windows of one
+#: chaotic cell differ. Of 1,128 such cells 94.2% agree with their own next window at a factor of 2, fewer
+#: than a model must (`model_selection.MOST_BEYOND`). At 2.5 it is 97.5%, but one in ten differences between
+#: `rigid` and `ball` is missed. This value misses 4 in 100.
 SCATTERS: Final = 2.25
 #: Parts of a window whose differences give its scatter.
 PARTS: Final = 4
 
-#: Outcomes without flights to compare. Cells still settling are compared like aperiodic ones.
+#: Outcomes whose flights are not compared. Cells still settling are compared like aperiodic ones.
 FAILED: Final = (Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 _Array = NDArray[np.float64]
 
 
 def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
-    """Deviation of `other` from `exact` in each cell, (n,), rad; NaN where `exact` is unresolved or diverged.
+    """Deviation of the flights of `other` from those of `exact` in each cell (n,), rad.
 
-    0 where both are at rest; infinite where only one is, or where `other` is unresolved or diverged. Both
-    periodic: the largest difference of the sorted flights over a common cycle, where a flight without a
-    counterpart counts with its whole time. Otherwise: the largest difference of the quantiles, less the
-    scatter. Flights of at most `micro_flight` (rad) are ignored, unless a cell has no others.
+    NaN if `exact` is unresolved or diverged. Infinite if only `other` is, or if only one of both is at rest;
+    0 if both are. For two periodic cells: the largest difference of the sorted flights over a common cycle; a
+    flight without a counterpart counts with its whole time. Otherwise: the largest difference of the
+    quantiles, less the scatter. Flights of at most `micro_flight`, rad, are ignored unless a cell has no
+    others.
     """
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
 
 def percentile(values: _Array, percent: float) -> float | None:
-    """The percentile of values (n,), always one of them; None without values or if it is not finite."""
+    """The percentile of values (n,), which is one of them; None without values, or if it is not finite."""
     if not len(values):
         return None
     value = float(np.percentile(values, percent, method="higher"))
@@ -66,7 +67,7 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
 
 
 def _flights(line: Line, i: int, micro_flight: float) -> _Array:
-    """The recorded flights of a cell that count for its mode."""
+    """The recorded flights of a cell that count for its mode, rad."""
     from kernel.modes import counted  # noqa: PLC0415 - numba, in a worker
 
     flights = line.flight_time[[i]]
@@ -87,7 +88,7 @@ def _between_distributions(exact: _Array, other: _Array) -> float:
 
 
 def _scatter(flights: _Array) -> float:
-    """Expected distance between the quantiles of two windows of this length, estimated from its parts."""
+    """Expected distance between the quantiles of two such windows, estimated from parts of this one."""
     if len(flights) < 4 * PARTS:
         return 0.0
     parts = [_quantiles(part) for part in np.array_split(flights, PARTS)]

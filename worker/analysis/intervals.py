@@ -1,7 +1,7 @@
 """Exact bounds of a share from a simple random sample without replacement (Clopper and Pearson's, finite).
 
-A bound holds whatever the share is: no normal approximation, which fails where few members or none have a
-property. With 0 of n they are the rule of three, 1 - 0.05**(1/n).
+A bound holds whatever the share is. It uses no normal approximation, which fails if few members or none have
+a property. For 0 of n the upper bound is the rule of three, 1 - 0.05**(1/n).
 """
 
 import math
@@ -10,29 +10,29 @@ from bisect import bisect_left
 import numpy as np
 from numpy.typing import NDArray
 
-#: Probabilities that the lower bound lies above the truth, and that the upper one lies below it. An interval
-#: holds the truth with at least 94 %, and "at most" with 95 %.
+#: Probabilities that the lower bound lies above the truth, and that the upper bound lies below it. An
+#: interval contains the truth with at least 94 %, "at most" holds with 95 %.
 ABOVE, BELOW = 0.01, 0.05
-#: A population that no sample tells from one without end, such as the points of a plane.
+#: A population that no sample distinguishes from an infinite one, such as the points of a plane.
 ENDLESS = 10**9
 
 
 def bounds(
     low: int, high: int, sampled: int, population: int, *, below: float = BELOW
 ) -> tuple[float, float]:
-    """The share of `population` members that have a property, at least and at most; (0, 1) without a sample.
+    """Lower and upper bound of the share of a population with a property; (0, 1) without a sample.
 
-    low, high: members of the sample that have it, those that are undecided counted as without it and with it.
-    below: the probability that the upper bound is too low.
+    low, high: number of the `sampled` members with the property, undecided ones counted as without and with
+    it. population: number of members. below: probability that the upper bound is too low.
     """
     if sampled == 0:
         return (0.0, 1.0) if population else (0.0, 0.0)
     fewest, most = low, population - (sampled - high)
-    # the fewest members with which a sample has `low` with a probability above ABOVE
+    # the fewest members for which a sample has at least `low` with a probability above ABOVE
     lower = fewest + bisect_left(
         range(fewest, most), True, key=lambda n: 1.0 - _at_most(low - 1, sampled, n, population) > ABOVE
     )
-    # the most with which a sample has no more than `high` with a probability above BELOW
+    # the most members for which a sample has at most `high` with a probability above BELOW
     upper = fewest + bisect_left(
         range(fewest, most), True, key=lambda n: _at_most(high, sampled, n + 1, population) <= below
     )
@@ -40,12 +40,12 @@ def bounds(
 
 
 def covered(sampled: int, population: int) -> float:
-    """The share of a population that lies at or below the largest value of a sample, with 95 %, at least."""
+    """Lower bound, with 95 %, of the share of a population at or below the largest value of a sample."""
     return 1.0 - bounds(0, 0, sampled, population)[1]
 
 
 def _at_most(number: int, sampled: int, having: int, population: int) -> float:
-    """The probability that at most `number` members of a sample have what `having` of all have."""
+    """Probability that at most `number` of a sample have a property that `having` of the population have."""
     if number < 0:
         return 0.0
     if number >= min(sampled, having):

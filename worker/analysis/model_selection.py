@@ -1,13 +1,14 @@
 """Model selection for the contact model `auto`: the cheapest model within a tolerance of the exact one.
 
 A random sample of the sweep's cells is computed with the exact contact of the specification and with every
-cheaper model, and the flight times are compared: of cells at rest or periodic flight by flight, of others by
-distribution. A model is within the tolerance if, with 95 % confidence, at most MOST_BEYOND of all cells have
-flights beyond it, by an exact bound, and if no more distributions differ than of two windows of one contact.
-On a ramp whole lines are compared, without a bound: their cells depend on each other. Costs come from
-CONTACT_MODELS and not from the clock, so the same specification always gets the same model. One model
-computes the whole sweep: between regions of different models the results would jump, which looks like a
-bifurcation.
+cheaper model. Flight times are compared flight by flight in cells at rest or periodic, and by distribution in
+others. A model is within the tolerance if two conditions hold: with 95 % confidence, by an exact bound, at
+most MOST_BEYOND of all cells have flights beyond the tolerance; and no more distributions differ than between
+two windows of one contact. On a ramp whole lines are compared, without a bound, because their cells depend on
+each other.
+
+Costs come from CONTACT_MODELS and not from the clock, so that a specification always gets the same model. One
+model computes the whole sweep: results that jump between regions of different models look like a bifurcation.
 """
 
 import math
@@ -27,13 +28,13 @@ from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.spec.time_steps import Cells
 from worker.sweep import AXES, SweepSpec
 
-#: Cells of a sample from rest; lines of a sample along a ramp, and cells on each of them.
+#: Cells of a sample from rest; lines of a sample on ramps, and cells on each line.
 CELLS: Final = 120
 LINES: Final = 4
 CELLS_ALONG: Final = 12
 
-#: Rank-1 lattice: point k of n lies in stratum k * LATTICE[axis] % n of each axis, so each stratum has one
-#: point. The multipliers are coprime to 4.
+#: Rank-1 lattice: point k of n lies in stratum k * LATTICE[axis] % n of each axis, so that each stratum has
+#: one point. The multipliers are coprime to LINES.
 LATTICE: Final = {"gamma": 1, "omega": 13, "xi": 43}
 
 #: Limits on the plate periods and flights of a sample's cells.
@@ -41,14 +42,14 @@ MAX_SETTLE: Final = 2_000
 MAX_OBSERVE: Final = 1_000
 MAX_FLIGHTS: Final = 4_096
 
-#: Flights shorter than the tolerance and than this are ignored in the comparison, rad.
+#: Flights shorter than both the tolerance and this, rad, are ignored in the comparison.
 MAX_MICRO_FLIGHT: Final = 0.1
 
-#: The share of all cells that may deviate by more than the tolerance. Of a ramp's sample, too.
+#: Share of all cells, or of a ramp's sample, that may deviate by more than the tolerance.
 MOST_BEYOND: Final = 0.05
-#: Share of aperiodic cells whose distributions differ from those of their own next window, see `deviation`.
+#: Share of aperiodic cells whose distribution differs from that of their own next window, see `deviation`.
 OWN_SCATTER: Final = 0.058
-#: Probability that the bound of one model is too low: two are judged beside the exact one.
+#: Probability that the bound of one model is too low; two models are judged against the exact one.
 BELOW: Final = 0.025
 
 _Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ class ModelChoice(Strict):
     table: tuple[ModelComparison, ...]
 
     def reproducible(self) -> dict[str, Any]:
-        """Plain JSON values of everything but the timings, which is reproducible."""
+        """The choice as plain JSON values, without the timings, which are not reproducible."""
         return self.model_dump(mode="json", exclude={"table": {"__all__": {"measured"}}})
 
 
@@ -92,7 +93,7 @@ def choose(spec: SweepSpec) -> ModelChoice:
 
 
 def resolved(spec: SweepSpec, choice: ModelChoice) -> SweepSpec:
-    """The sweep with the chosen model; the job's id remains that of the sweep with `auto`."""
+    """The sweep with the chosen model; the job keeps the id of the sweep with `auto`."""
     return spec.model_copy(update={"model": _candidates(_auto(spec))[choice.model]})
 
 
@@ -147,26 +148,19 @@ def _auto(spec: SweepSpec) -> Auto:
 
 
 def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball) -> SweepSpec:
-    """The sweep with another model and the windows of the comparison, which are fixed."""
-    settle, observe = (min(*each) for each in zip(spec.window, (MAX_SETTLE, MAX_OBSERVE), strict=True))
+    """The sweep with another model and fixed windows for the comparison."""
+    settle, observe = spec.window
+    settle, observe = min(settle, MAX_SETTLE), min(observe, MAX_OBSERVE)
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
-    return spec.model_copy(
-        update={
-            "model": model,
-            "settle": settle,
-            "observe": observe,
-            "keep": min(8 * observe, MAX_FLIGHTS),
-            "micro_flight": micro_flight,
-            "until": None,
-        }
-    )
+    windows = {"settle": settle, "observe": observe, "until": None, "keep": min(8 * observe, MAX_FLIGHTS)}
+    return spec.model_copy(update={"model": model, "micro_flight": micro_flight, **windows})
 
 
 def timed(spec: SweepSpec, lines: Sequence[Cells], least: float = 0.0) -> tuple[list[Line], float]:
     """The record of each line, and core-microseconds per cell per plate period.
 
-    The time is the shortest of several runs that take `least` core-seconds together, at least of one: it is
-    the least affected by other processes.
+    least: core-seconds for which runs are repeated, at least once. The shortest run counts, which other
+    processes affect least.
     """
     from worker.sweep.task import run_cells  # noqa: PLC0415 - numba, where `choose` runs: in a worker
 
@@ -185,9 +179,10 @@ def timed(spec: SweepSpec, lines: Sequence[Cells], least: float = 0.0) -> tuple[
 def compared(
     spec: SweepSpec, lines: Sequence[Cells]
 ) -> tuple[dict[str, tuple[float, _Array]], NDArray[np.uint8]]:
-    """Every model in the cells of the lines, cheapest first, beside the exact contact.
+    """Compare every model, cheapest first, with the exact contact in the cells of the lines.
 
-    Core-microseconds per cell per plate period and the deviations (n,) by kind, and the exact outcomes (n,).
+    Returns, by kind, core-microseconds per cell per plate period and the deviations (n,), rad; and the exact
+    outcomes (n,).
     """
     auto = _auto(spec)
     exact, _ = timed(_shortened(spec, auto.exact), lines)
@@ -203,19 +198,30 @@ def compared(
 def chosen(
     spec: SweepSpec, models: Mapping[str, tuple[float, _Array]], outcome: NDArray[np.uint8]
 ) -> ModelChoice:
-    """The cheapest model within the tolerance, by what `compared` returns of a sample."""
+    """The cheapest model within the tolerance, else the exact one, from the results of `compared`."""
     auto, table = _auto(spec), [_judged(spec, kind, *model, outcome) for kind, model in models.items()]
-    return _choice(auto, table, next((row for row in table if _is_within(auto, row)), table[-1]))
+    row = next((row for row in table if _is_within(auto, row)), table[-1])
+    # the ledger keeps the reason: its wording must not change
+    within = f"within {auto.tolerance:g} rad of exact soft in {1.0 - MOST_BEYOND:.0%} of the cells"
+    verdict = f"{row.model}: the cheapest {within}"
+    if not _is_within(auto, row):
+        verdict = f"{row.model}: no model is {within}, and this is the best"
+    most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
+    flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
+    others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
+    percentiles = ", ".join(f"{model.model} {_in_rad(model.percentile_95)}" for model in table)
+    reason = f"{verdict} ({flights}; {others}; 95th percentiles: {percentiles})"
+    return ModelChoice(model=row.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
 
 def _judged(
     spec: SweepSpec, kind: str, microseconds: float, errors: _Array, outcome: NDArray[np.uint8]
 ) -> ModelComparison:
-    """A model by the deviations of a sample's cells (n,), and the outcomes of the exact contact there."""
+    """A row of the table, from a model's deviations `errors` (n,) and the exact outcomes (n,) of a sample."""
     compared = ~np.isnan(errors)
     repeating = np.isin(outcome, (Outcome.AT_REST, Outcome.PERIODIC))
     differs = ~(errors <= _auto(spec).tolerance)
-    # A cell whose exact run has failed may be beyond the tolerance.
+    # a cell whose exact run failed may be beyond the tolerance
     beyond = int(np.count_nonzero(differs & (repeating | ~compared)))
     most = None
     if spec.ramp_axis is None:
@@ -236,20 +242,6 @@ def _is_within(auto: Auto, row: ModelComparison) -> bool:
     others = row.cells - row.repeating
     unlike, _ = bounds(row.unlike, row.unlike, others, ENDLESS)
     return row.most <= MOST_BEYOND and (others == 0 or unlike <= OWN_SCATTER)
-
-
-def _choice(auto: Auto, table: list[ModelComparison], row: ModelComparison) -> ModelChoice:
-    # The ledger keeps the reason: its wording is part of stored choices.
-    within = f"within {auto.tolerance:g} rad of exact soft in {1.0 - MOST_BEYOND:.0%} of the cells"
-    verdict = f"{row.model}: the cheapest {within}"
-    if not _is_within(auto, row):
-        verdict = f"{row.model}: no model is {within}, and this is the best"
-    most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
-    flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
-    others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
-    percentiles = ", ".join(f"{each.model} {_in_rad(each.percentile_95)}" for each in table)
-    reason = f"{verdict} ({flights}; {others}; 95th percentiles: {percentiles})"
-    return ModelChoice(model=row.model, reason=reason, tolerance=auto.tolerance, table=tuple(table))
 
 
 def _in_rad(percentile: float | None) -> str:

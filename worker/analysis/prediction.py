@@ -1,4 +1,4 @@
-"""Thresholds in closed form, of the rigid plate without restitution, for comparison with a sweep."""
+"""Predicted thresholds: in closed form for a rigid plate without restitution, for others by branches."""
 
 import math
 from collections.abc import Sequence
@@ -14,28 +14,27 @@ from kernel.cycles.thresholds import EQ_25, PERIODS, UNRESOLVED, Thresholds, clo
 from kernel.params import KernelInputError
 from kernel.search import Searched, search
 from kernel.threshold import threshold
-from worker.analysis.cycles import lowest_cells
+from worker.analysis.cycles import lowest_cells, plate_at
 from worker.orbits.plan import SECONDS
 from worker.orbits.specification import MAX_GRID
 from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import SweepSpec
-from worker.work import plate_of
 
-#: A cause that a search found ends so.
+#: Ending of a cause that a search found.
 SEARCHED: Final = ", searched"
 
-#: Core-seconds of one prediction, of one branch beside those of its grid, and of a branch that grazes along
-#: its whole length by rounding: each graze is followed to its end.
+#: Core-seconds of one prediction, of one branch apart from its grid, and of a branch that grazes along its
+#: whole length by rounding, as each graze is located.
 _SECONDS: Final = 0.005
 _BRANCH_SECONDS: Final = 3e-3
 _GRAZING_SECONDS: Final = 0.25
 
-#: If xi + xi/omega is larger, the dashpot is so strong that branches graze by rounding.
+#: Above this xi + xi/omega the dashpot is so strong that branches graze by rounding.
 _STIFF: Final = 300.0
 
 
 def prediction_seconds(omega: float, xi: float) -> float:
-    """Approximate core-seconds of `predict`, usually too many rather than too few."""
+    """Estimated core-seconds of `predict`, usually too high."""
     if _why_not(omega, xi) is not None:
         return 0.0
     first = branch_seconds(omega, xi, 1)
@@ -53,7 +52,7 @@ def _grazes(omega: float, xi: float) -> bool:
 
 
 def _why_not(omega: float, xi: float) -> str | None:
-    """Why the branches of a spring are not searched; None if they are."""
+    """Why the branches of a spring cannot be searched; None if they can."""
     try:
         points = len(flight_times(omega, xi, 1, most=MAX_GRID))
     except KernelInputError as error:
@@ -64,7 +63,7 @@ def _why_not(omega: float, xi: float) -> str | None:
 
 
 def decides(omega: float, xi: float) -> bool:
-    """Whether `predict` needs the closed form alone, and nothing compiled."""
+    """Whether `predict` needs only the closed form, and nothing compiled."""
     try:
         with np.errstate(all="ignore"):
             return _why_not(omega, xi) is not None or closed_form(omega, xi).decides
@@ -73,13 +72,13 @@ def decides(omega: float, xi: float) -> bool:
 
 
 def predict(omega: float, xi: float) -> Thresholds:
-    """As `thresholds`, omega > 0 and xi >= 0; `unresolved` also where the branches are not searched."""
+    """As `thresholds`, for omega > 0 and xi >= 0; also `unresolved` if the branches cannot be searched."""
     reason = _why_not(omega, xi)
     return of_contact(Rigid(), omega, xi) if reason is None else _undecided(omega, xi, reason)
 
 
 def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
-    """`predict` at every omega: a call for workers."""
+    """`predict` at every omega; runs on workers."""
     return [predict(value, xi) for value in omega]
 
 
@@ -90,12 +89,11 @@ def is_ideal(contact: Contact) -> bool:
 
 def search_below(contact: Contact, omega: float, xi: float, effort: float = 50.0) -> Searched:
     """The lowest end of bouncing that a search finds; runs on workers. Raises KernelInputError."""
-    ones = np.ones(1)
-    return search(plate_of(contact, ones, omega * ones, xi * ones), omega, xi, effort=effort)
+    return search(plate_at(contact, 1.0, omega, xi), omega, xi, effort=effort)
 
 
 def search_each(contact: Contact, omega: tuple[float, ...], xi: float) -> list[Thresholds]:
-    """The thresholds of a contact, searched for where its branches leave them open: a call for workers."""
+    """The thresholds of a contact, searched for where its branches leave them open; runs on workers."""
     return [_searched(contact, value, xi) for value in omega]
 
 
@@ -103,8 +101,8 @@ def _searched(contact: Contact, omega: float, xi: float) -> Thresholds:
     answer = of_contact(contact, omega, xi)
     if math.isfinite(answer.down) or not math.isfinite(answer.gamma_th):
         return answer
-    found = search_below(contact, omega, xi)
-    down, what = (found.gamma, found.what) if found.what else (answer.gamma_th, EQ_25)
+    end = search_below(contact, omega, xi)
+    down, what = (end.gamma, end.what) if end.what else (answer.gamma_th, EQ_25)
     return answer._replace(down=down, cause=f"{what}{SEARCHED}", reason="")
 
 
@@ -113,9 +111,9 @@ def predict_from_cells(
 ) -> list[Thresholds]:
     """The thresholds of the sweep's contact at these indices, with cycles of its cells; runs on workers.
 
-    Of an ideal plate, cells count only where `predict` leaves them unresolved. They are those of lowest Gamma
-    that settled, on the way down if the sweep goes down. The lowest end of a cycle is the answer, unless a
-    cell bounces below it or a lower fold stays open. Raises a `store.StoreError`.
+    The cells are those of lowest Gamma that settled, on the way down if the sweep goes down. On an ideal
+    plate they count only if `predict` leaves a threshold unresolved. The lowest end of a cycle is the answer,
+    unless a cell bounces below it or a lower fold is undecided. Raises a `store.StoreError`.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
     at_xi = float(spec.axis_values("xi")[xi])
@@ -130,7 +128,7 @@ def predict_from_cells(
                 answer = of_contact(spec.model, at_omega, at_xi, cycles)
                 below = answer.down - bouncing
                 fold, window = answer.fold, sum(spec.window)
-                # just below a fold its ghost bounces longer than a window
+                # just below a fold bouncing lasts longer than a window
                 if below > 0.0 and (fold is None or lifetime(fold, below) <= window):
                     answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
         answers.append(answer)
@@ -140,11 +138,10 @@ def predict_from_cells(
 def of_contact(
     contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
 ) -> Thresholds:
-    """The thresholds of a contact, by cycles that workers follow; as of `kernel.cycles.thresholds`."""
+    """The thresholds of a contact; cycles, bouncing: as in `kernel.cycles.thresholds.conjecture`."""
     try:
         if not is_ideal(contact):
-            plate = plate_of(contact, np.ones(1), np.full(1, omega), np.full(1, xi))
-            return thresholds_of(plate, omega, xi, cycles, bouncing)
+            return thresholds_of(plate_at(contact, 1.0, omega, xi), omega, xi, cycles, bouncing)
         with np.errstate(all="ignore"):  # an undamped spring may have poles
             return thresholds(omega, xi, cycles, bouncing)
     except KernelInputError as error:

@@ -1,4 +1,4 @@
-"""What every kind of study has, whatever it computes: without numba, and of no kind itself."""
+"""The interface that every kind of study implements. Imports neither numba nor any kind of study."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,24 +25,24 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Study:
-    """A kind of study: four pure functions, and the module of its task.
+    """A kind of study: pure functions, and the module of its task.
 
-    Ledger, queue, executors, store, progress, cancelling and repair use only these.
+    Ledger, queue, executors, store, progress, cancelling and repair use nothing else of a study.
     """
 
     #: The specification from plain JSON values. Raises a `SpecError` that names every broken rule.
     parse: Callable[[object], Any]
-    #: (spec, chunk_shape=None, longest=LONGEST_SECONDS): the chunks, of `chunk_shape` or of a shape that the
-    #: study chooses. Many chunks may be longer, up to about `longest` core-seconds each.
+    #: (spec, chunk_shape=None, longest=LONGEST_SECONDS): the chunks, by default of a shape that the study
+    #: chooses. In a study of many chunks they may take up to about `longest` core-seconds each.
     plan: Callable[..., Plan]
     #: (spec, chunk_shape): the layout of the store.
     variables: Callable[[Any, tuple[int, ...]], Layout]
     #: (spec, plan): the cost; computes and allocates nothing.
     estimate: Callable[[Any, Plan], Cost]
-    #: The module that only workers import, with `run_chunk(spec, chunk, store_url)`: compute one chunk, store
-    #: it and return its `ChunkReport`; repeated, it writes the same bytes. Raises a `TaskError` or a
-    #: `store.StoreError`. If it takes longer than the slice of `study.chunks.OPTIONS` it should store its
-    #: progress and raise `ChunkPaused`: it is called again.
+    #: The module that only workers import. Its `run_chunk(spec, chunk, store_url)` computes one chunk, stores
+    #: it and returns its `ChunkReport`; repeated, it writes the same bytes. Raises a `TaskError` or a
+    #: `store.StoreError`. After the slice of `study.chunks.OPTIONS` it should store its progress and raise
+    #: `ChunkPaused`; then it is called again.
     task: str
-    #: (spec, plan): the cells sure to be computed, of a study that fills in others (`layout.COMPUTED`).
+    #: (spec, plan): the number of cells that a study with `layout.COMPUTED` is sure to compute; else 0.
     first_cells: Callable[[Any, Plan], int] = lambda spec, plan: 0

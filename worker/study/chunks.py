@@ -1,8 +1,8 @@
 """The chunks of a study: its division and cost, how a task computes a chunk, and what it reports.
 
-A plan is pure. Chunks form a regular grid and are numbered in an order in which they can run, the last axis
-fastest. On a ramp, the first chunks of all lines precede the second ones, and "down" follows "up":
-consecutive numbers rarely depend on each other.
+A plan is pure. Chunks form a regular grid. Their numbers are an order in which they can run, with the last
+axis fastest. On a ramp the first chunks of all lines precede the second chunks, and "down" follows "up", so
+that consecutive numbers rarely depend on each other.
 """
 
 import math
@@ -23,18 +23,18 @@ from worker.spec.axes import Strict
 from worker.spec.errors import Problem, SpecTooLarge
 from worker.study.layout import COMPUTED
 
-#: Core-seconds of a chunk: long enough to hide a task's overhead; short enough for progress, for little loss
-#: on a failure, and for small jobs to start soon between the chunks of large ones.
+#: Core-seconds of a chunk: long enough to hide a task's overhead; short enough for progress, for a small loss
+#: on failure, and for small jobs to start soon between the chunks of large ones.
 TARGET_SECONDS: Final = 0.75
-#: Core-seconds of a chunk of a study that would have very many.
+#: Core-seconds of a chunk in a study that would otherwise have very many chunks.
 LONGEST_SECONDS: Final = 30.0
-#: Before compression.
+#: Bytes of a chunk before compression.
 MAX_CHUNK_BYTES: Final = 16 * 2**20
 #: Core-seconds that a task computes before it pauses: the longest wait of another job's chunk for a worker
-#: with its own core. Twice the target of a chunk, so that few chunks harder than estimated pause. Measured in
-#: core time: on a busy machine, pauses would otherwise use up the worker's share.
+#: with its own core. Twice the target of a chunk, so that few chunks pause that are harder than estimated.
+#: Core time, because on a busy machine pauses would otherwise use up the worker's share.
 SLICE_SECONDS: Final = 1.5
-#: Limits on one study; the settings of a service may set others.
+#: Default limits on one study.
 DEFAULT_MAX_CELLS: Final = 20_000_000
 DEFAULT_MAX_BYTES: Final = 32 * 2**30
 #: Six days of two cores. The largest sweep allowed, at the default window, takes a hundredth of it.
@@ -76,9 +76,9 @@ class Plan(Sequence[Chunk]):
     """
 
     grid: tuple[int, ...]  # cells along the axes, slowest first
-    chunk_shape: tuple[int, ...]  # the ledger keeps it to repeat the plan
+    chunk_shape: tuple[int, ...]  # cells of a chunk; the ledger keeps it to repeat the plan
     directions: tuple[str, ...] = ()  # of a sweep
-    ramp: int | None = None  # axis along which each chunk continues the one before
+    ramp: int | None = None  # index of the axis along which each chunk continues the one before
 
     def __post_init__(self) -> None:
         if len(self.chunk_shape) != len(self.grid) or min(self.chunk_shape) < 1:
@@ -125,7 +125,7 @@ class Plan(Sequence[Chunk]):
         return Chunk(index, tuple(spans), direction, index - self.lines if wave else None)
 
     def number(self, *coords: int) -> int:
-        """Index of the chunk at `coords` in the store's grid of chunks; of a sweep, the direction first."""
+        """Index of the chunk at `coords` in the store's grid of chunks; in a sweep the direction is first."""
         block, wave = list(coords[1:] if self.directions else coords), 0
         if self.ramp is not None:
             visit = self._in_visiting_order(coords[0], block[self.ramp])
@@ -133,7 +133,7 @@ class Plan(Sequence[Chunk]):
         return wave * self.lines + int(np.ravel_multi_index(block, self._counts_beside_ramp))
 
     def _in_visiting_order(self, direction: int, coord: int) -> int:
-        """The coordinate along the ramp as a visit, or a visit as a coordinate."""
+        """Position of a chunk along the ramp in the order of visits, or the reverse."""
         last = self.counts[self.ramp or 0] - 1
         return last - coord if self.directions[direction] == "down" else coord
 
@@ -143,7 +143,7 @@ class Plan(Sequence[Chunk]):
 
 
 class Cost(Strict):
-    """What a study will take."""
+    """The estimated cost of a study."""
 
     cells: int
     chunks: int
@@ -165,7 +165,7 @@ class Cost(Strict):
 
     @property
     def upper_core_seconds(self) -> float:
-        """The upper end of the estimate, which counts for limits and for the order of jobs."""
+        """The upper end of the estimate; limits and the order of jobs use it."""
         return max(self.core_seconds, self.longest_core_seconds or 0.0)
 
 
@@ -178,11 +178,11 @@ def check_size(
 ) -> None:
     """Raise `SpecTooLarge` for more cells, stored bytes before compression, or core-seconds than these.
 
-    An adaptive map is counted by its computed cells, a range by its upper end.
+    An adaptive map counts with its computed cells, a range with its upper end.
     """
-    cells, computed = (
-        (cost.cells, "") if cost.computed_cells is None else (cost.computed_cells[1], "computed ")
-    )
+    cells, computed = cost.cells, ""
+    if cost.computed_cells is not None:
+        cells, computed = cost.computed_cells[1], "computed "
     if cells > max_cells:
         rule = f"asks for {cells:,} {computed}cells; at most {max_cells:,} are allowed: take fewer values"
         raise SpecTooLarge([Problem("", rule)])
@@ -199,25 +199,25 @@ def check_size(
 
 
 def even(n: int, max_size: int) -> int:
-    """The size that divides n into the fewest parts of at most `max_size`, as equal as possible."""
+    """Size of the parts if n is divided into the fewest parts of at most `max_size`, nearly equal."""
     parts = -(-n // max_size)
     return -(-n // parts)
 
 
 @dataclass(frozen=True)
 class ChunkOptions:
-    """How a chunk is computed; changes no result."""
+    """How a chunk is computed; the options change no result."""
 
     slice_seconds: float = math.inf  # core-seconds after which it pauses
-    begins: bool = False  # the chunk's first task: no checkpoint to look for
+    begins: bool = False  # the chunk's first task: it has no checkpoint
 
 
 USUAL: Final = ChunkOptions()
 
-#: For the chunk that this thread computes.
+#: The options of the chunk that this thread computes.
 OPTIONS: Final[ContextVar[ChunkOptions]] = ContextVar("options", default=USUAL)
 
-#: Set in a worker process that was told to leave: its chunks pause at once, so that nothing is lost.
+#: Set in a worker process that must leave: its chunks pause at once, so that nothing is lost.
 LEAVING: Final = threading.Event()
 
 
@@ -251,14 +251,14 @@ class PredecessorMissing(TaskError):
 
 @dataclass(frozen=True, slots=True)
 class ChunkReport:
-    """What a task reports of its chunk."""
+    """The report of a task on its chunk."""
 
     index: int
     cells: int
     seconds: float  # wall time, storing included
     kernel_seconds: float  # the part spent in the kernel
     outcomes: tuple[int, ...]  # number of cells by kernel.params.Outcome
-    computed: int | None = None  # of a study with COMPUTED: cells not filled in
+    computed: int | None = None  # cells that were not filled in; None without the array COMPUTED
     paused_seconds: float = 0.0  # the part of `seconds` in earlier slices
 
 

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -17,10 +18,10 @@ from numpy.typing import NDArray
 from kernel.params import KERNEL_VERSION, Outcome
 from worker.spec.specification import Specification
 
-#: The dimensions that identify a cell, slowest first; a study has some of them.
+#: The dimensions that identify a cell, slowest first. A study has some of them.
 CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
 
-#: The array that tells, in a study that fills cells in from others, which ones were computed.
+#: Name of the array that says which cells were computed, in a study that fills in others.
 COMPUTED: Final = "computed"
 
 #: Reference of the model.
@@ -28,23 +29,23 @@ REFERENCE: Final = (
     "Hubert, Ludewig, Dorbolo and Vandewalle, Bouncing dynamics of a spring, Physica D 272 (2014)"
 )
 
-#: Store attributes written as JSON text, because attributes of files are texts and numbers.
+#: Attributes that files hold as JSON text, because they can hold only texts and numbers.
 _STRUCTURED: Final = ("spec", "choice", "time_steps", "chunk_shape")
 
 _METADATA_KEY: Final = "zarr.json"
 _CHUNK_KEY: Final = re.compile(r"c/0|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")  # of a coordinate, of an array
 
-#: An array's chunks of more bytes than this, before compression, are shards of inner chunks of at most
-#: INNER_BYTES: reading a cell reads its inner chunk.
+#: Chunks of more bytes than this, before compression, are shards of inner chunks of at most INNER_BYTES:
+#: reading a cell reads one inner chunk.
 WHOLE_BYTES: Final = 512 * 2**10
 INNER_BYTES: Final = 128 * 2**10
-#: The same of the chunks of all arrays together, which releases up to 0.2 cut alike.
+#: The same for the chunks of all arrays together, to which releases up to 0.2 gave the same inner chunks.
 ALIKE_WHOLE_BYTES: Final = 17 * 2**20
 ALIKE_INNER_BYTES: Final = 4 * 2**20
 
 
 class Array(NamedTuple):
-    """One stored array. `fill` is the value of cells that are not computed."""
+    """A stored array. `fill` is the value in cells that are not computed."""
 
     name: str
     dims: tuple[str, ...]
@@ -54,12 +55,12 @@ class Array(NamedTuple):
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
-        """The dimensions other than CELL_DIMS; every chunk spans them whole."""
+        """The dimensions beside CELL_DIMS; every chunk spans them whole."""
         return tuple(dim for dim in self.dims if dim not in CELL_DIMS)
 
 
 class Code(NamedTuple):
-    """The names along a dimension as numbers, with CF flags: some readers of zarr have no text."""
+    """The names along a dimension as numbers with CF flags, for readers of zarr without text."""
 
     dim: str
     values: NDArray[np.uint8]  # (n,)
@@ -70,8 +71,8 @@ class Code(NamedTuple):
 class Layout:
     """Dimensions, coordinates, chunks, arrays and attributes of a store.
 
-    Every array has the cell dimensions first; a chunk spans the others whole. The last array is `outcome`,
-    over the cell dimensions alone: it is written last, and a cell without it is missing.
+    Every array has the cell dimensions first; a chunk spans the others whole. The last array, `outcome`, has
+    only the cell dimensions. It is written last: a cell without it is missing.
     """
 
     chunk_sizes: Mapping[str, int]  # cells of a chunk along each cell dimension, slowest first
@@ -80,12 +81,12 @@ class Layout:
     arrays: tuple[Array, ...]  # in the order they are written
     coordinate_attrs: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store
-    #: Attributes that distinguish this store from every other: `job` and `chunk_shape`.
+    #: Attributes that identify the store: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
     cut_alike: bool = False  # inner chunks as in stores of releases up to 0.2
 
     def __post_init__(self) -> None:
-        """Refuse an array with a dimension's name, which readers take for its coordinate: ValueError."""
+        """Raise ValueError for an array with a dimension's name, which readers take for its coordinate."""
         if clash := sorted({*self.chunk_sizes, *self.extra_sizes} & set(self.names)):
             raise ValueError(f"arrays named like dimensions: {', '.join(clash)}; rename either")
 
@@ -118,16 +119,16 @@ class Layout:
 
     @property
     def cuts(self) -> tuple["Layout", ...]:
-        """The layouts that its store may have: this one, and that of releases up to 0.2 if it differs."""
+        """The layouts that the store may have: this one, and that of releases up to 0.2 if it differs."""
         before = replace(self, cut_alike=True)
         differs = any(self.inner_shape(array) != before.inner_shape(array) for array in self.arrays)
         return (self, before) if differs else (self,)
 
     def inner_shape(self, array: Array) -> tuple[int, ...] | None:
-        """Length of an array's inner chunks along each of its dimensions; None if chunks are no shards.
+        """Length of an array's inner chunks along each of its dimensions; None if chunks are not sharded.
 
-        Chunks are halved along the cell dimensions in turn, so that a line along any of them meets few cells
-        beside it; odd lengths stay as they are.
+        Chunks are halved along the cell dimensions in turn, so that reading a line along any of them reads
+        few other cells. Odd lengths are not halved.
         """
         whole, most, size = WHOLE_BYTES, INNER_BYTES, self._chunk_bytes(array)
         if self.cut_alike:
@@ -155,7 +156,7 @@ class Layout:
         return tuple(span.start // size for span, size in zip(slices, self.chunk_sizes.values(), strict=True))
 
     def describe(self, slices: Sequence[slice]) -> str:
-        """Text for these cells, the fastest dimension first: `up, gamma 1 to 1.5, omega 0.5, xi 0.26`."""
+        """The cells as text, fastest dimension first: `up, gamma 1 to 1.5, omega 0.5, xi 0.26`."""
         spans = {
             dim: _ends(self.coordinates[dim][span])
             for dim, span in zip(self.chunk_sizes, slices, strict=True)
@@ -164,7 +165,7 @@ class Layout:
         return ", ".join(([spans["direction"]] if "direction" in spans else []) + numbers)
 
     def has_key(self, key: str) -> bool:
-        """Whether `key` can be a file of a store with this layout: metadata, or a chunk of an array."""
+        """Whether a store with this layout may have a file `key`: metadata, or a chunk of an array."""
         name, _, rest = key.partition("/")
         if name not in self.coordinates and name not in self.codes and name not in self.names:
             return key == _METADATA_KEY
@@ -181,7 +182,7 @@ def _code(name: str, values: NDArray[Any], attrs: Mapping[str, Any]) -> Code:
 
 
 def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
-    """Attributes as texts and numbers, which every format can hold; other values as JSON text."""
+    """Attributes as texts and numbers, which every format can hold. Other values become JSON text."""
     return {
         name: value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)
         for name, value in attrs.items()
@@ -189,19 +190,13 @@ def flat_attributes(attrs: Mapping[str, Any]) -> dict[str, str | int | float]:
 
 
 def structured_attributes(attrs: Mapping[str, Any]) -> dict[str, Any]:
-    """The attributes of a store with their JSON texts parsed."""
-    return {
-        name: _parts(value) if name in _STRUCTURED and isinstance(value, str) else value
-        for name, value in attrs.items()
-    }
-
-
-def _parts(text: str) -> Any:
-    """The value of JSON text; other text as it is."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
+    """The attributes of a store or file, with the values of JSON texts. Other texts stay as they are."""
+    parsed = dict(attrs)
+    for name in _STRUCTURED:
+        if isinstance(value := attrs.get(name), str):
+            with suppress(ValueError):
+                parsed[name] = json.loads(value)
+    return parsed
 
 
 def _ends(values: NDArray[Any]) -> str:
@@ -213,19 +208,18 @@ OUTCOME_FLAGS: Final[dict[str, Any]] = {
     "flag_values": [int(outcome) for outcome in Outcome],
     "flag_meanings": " ".join(outcome.name.lower() for outcome in Outcome),
 }
-_NAN: Final = float("nan")
 
 
 def array(
     name: str, dims: tuple[str, ...], dtype: str, long_name: str, units: str | None = "1", **attrs: Any
 ) -> Array:
-    """An array with NaN, or zero, in cells that are not computed."""
+    """An array whose fill value is NaN, or zero for integers."""
     about = {"long_name": long_name} if units is None else {"long_name": long_name, "units": units}
-    return Array(name, dims, dtype, _NAN if dtype in ("<f8", "<c16") else 0, about | attrs)
+    return Array(name, dims, dtype, math.nan if dtype in ("<f8", "<c16") else 0, about | attrs)
 
 
 def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
-    """The array `outcome` of a study whose cells are computed or, `otherwise`, have no result."""
+    """The array `outcome` of a study whose cells have a result, or, with the meaning `otherwise`, none."""
     flags = [Outcome.MISSING.value, Outcome.PERIODIC.value, Outcome.UNRESOLVED.value]
     meanings = f"missing computed {otherwise}"
     return array(
@@ -233,7 +227,7 @@ def whether_computed(dims: tuple[str, ...], otherwise: str) -> Array:
     )
 
 
-#: The attributes of what lies along the dimensions of cells.
+#: The attributes of the coordinates of cells.
 COORDINATES: Final[Mapping[str, dict[str, Any]]] = {
     "direction": {"long_name": "protocol: from rest, or the ramp's direction"},
     "xi": {"long_name": "damping ratio of the spring", "units": "1"},
@@ -250,7 +244,7 @@ def bytes_of(arrays: Iterable[Array], sizes: Mapping[str, int]) -> int:
 def empty_record(
     shape: tuple[int, ...], arrays: Iterable[Array], sizes: Mapping[str, int]
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a chunk of `shape` cells, filled with the values of cells that are not computed."""
+    """The arrays of a chunk of `shape` cells with their fill values."""
     return {a.name: np.full((*shape, *(sizes[dim] for dim in a.extra_dims)), a.fill, a.dtype) for a in arrays}
 
 
@@ -261,8 +255,8 @@ def grid_layout(
 ) -> Layout:  # fmt: skip
     """Layout of a store over the axes of a specification, with chunks of `chunk_shape` cells.
 
-    `coordinates`: values and attributes of the other dimensions with coordinates. `slowest`: dimensions of
-    cells before the axes, in chunks of one.
+    coordinates: values and attributes of other dimensions. slowest: values along cell dimensions before the
+    axes, where chunks have length one.
     """
     before = slowest or {}
     axes = {**before, **{axis: spec.axis_values(axis).astype("<f8") for axis in spec.AXES}}
@@ -273,7 +267,7 @@ def grid_layout(
         extra_sizes=sizes,
         arrays=arrays,
         coordinate_attrs=attrs | {name: about for name, (_, about) in coordinates.items()},
-        attributes={  # they depend on the specification alone
+        attributes={  # depend only on the specification
             "Conventions": "CF-1.11",
             "title": spec.name or title,
             "source": f"bouncing-spring, kernel version {KERNEL_VERSION}: numerical solution of the model",

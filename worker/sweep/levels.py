@@ -1,7 +1,7 @@
-"""Levels of a sweep from coarse to fine: each a sweep of its own, whose grid contains that of the last.
+"""Levels of a sweep from coarse to fine: each is a sweep of its own, whose grid contains that of the last.
 
-A level takes every n-th value of each axis, and the last one. Its ids and bytes are those of any sweep with
-these values. Pure: which levels fit into a time is decided from a cost that the caller measures.
+A level takes every n-th value of each axis, and the last one. It has the id and the bytes of any sweep with
+these values. Pure: the caller measures the cost by which a level fits into a time.
 """
 
 import math
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from worker.sweep.specification import AXES, SweepSpec
 
-#: Steps along an axis that a level may take: divisors of the longest, so that levels can contain each other,
-#: and 1.5, which takes two of three values. Without it cells would double from the last level but one.
+#: Steps that a level may take along an axis: divisors of the longest, so that levels can contain each other,
+#: and 1.5, two of three values, without which the last level would have twice the cells of the one before.
 STEPS: Final = (1, 1.5, 2, 3, 4, 6, 12, 24, 48, 96)
 #: The fewest values that a level keeps of an axis with more.
 FEWEST: Final = 5
-#: Of the levels with nearly as many cells as fit, this share of them, the one with the most even steps.
+#: Among levels with at least this share of the cells that fit, the one with the most even steps is taken.
 NEARLY: Final = 0.9
 
 #: The steps of a level along AXES.
@@ -28,12 +28,12 @@ WHOLE: Final[Steps] = (1,) * len(AXES)
 
 
 def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
-    """The sweep of every n-th value of each axis, and the last. Raises SpecInvalid."""
+    """The sweep of every n-th value of each axis, and the last one. Raises SpecInvalid."""
     if steps == WHOLE:
         return spec
     indices = zip(AXES, level_indices(spec, steps), strict=True)
-    kept = {axis: spec.axis_values(axis)[along].tolist() for axis, along in indices}
-    return SweepSpec.parse(spec.as_submitted() | kept)
+    thinned = {axis: spec.axis_values(axis)[along].tolist() for axis, along in indices}
+    return SweepSpec.parse(spec.as_submitted() | thinned)
 
 
 def is_level(spec: SweepSpec, other: SweepSpec) -> bool:
@@ -50,15 +50,15 @@ def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
-    """Cells of a level, each direction counted."""
+    """Number of cells of a level; each direction counts."""
     directions, *shape = spec.shape
     return directions * math.prod(1 + math.ceil((n - 1) / step) for n, step in zip(shape, steps, strict=True))
 
 
 def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps | None:
-    """A level with nearly the most cells, at most `most`, and even steps; None if there is none.
+    """A level with even steps and nearly the most cells, up to `most`; None if there is none.
 
-    within: the steps of a level that it contains, and has more cells than.
+    within: steps of a smaller level that it must contain.
     """
     fewest = 0 if within is None else cells(spec, within)
     fitting = [steps for steps in _all_steps(spec, within) if fewest < cells(spec, steps) <= most]
@@ -73,10 +73,11 @@ def coarsest(spec: SweepSpec) -> Steps:
 
 
 def _all_steps(spec: SweepSpec, within: Steps | None) -> Iterator[Steps]:
+    """The steps of all levels, or of those that contain the level `within`."""
     choices = []
     for i, n in enumerate(spec.shape[1:]):
         steps = [step for step in STEPS if step == 1 or n > (FEWEST - 1) * step]
-        if within is None:  # from multiples of 3 more levels follow
+        if within is None:  # multiples of 3 leave more levels in between
             choices.append([step for step in steps if step in (1, 2) or step % 3 == 0])
         else:
             choices.append([step for step in steps if step == 1 or within[i] % step == 0])
@@ -84,6 +85,6 @@ def _all_steps(spec: SweepSpec, within: Steps | None) -> Iterator[Steps]:
 
 
 def _unevenness(spec: SweepSpec, steps: Steps) -> float:
-    """The ratio of the longest step to the shortest, of the axes that a level can thin."""
+    """The ratio of the longest step to the shortest, over the axes that a level can thin."""
     long = [step for n, step in zip(spec.shape[1:], steps, strict=True) if n > 2 * (FEWEST - 1)]
     return max(long, default=1) / min(long, default=1)

@@ -1,7 +1,7 @@
 """Division of a sweep into chunks, and its cost.
 
-From rest a sweep has about as many chunks along every axis. On a ramp a chunk has as many lines as are
-computed side by side, and spans the whole ramp axis if that fits.
+From rest a sweep has about the same number of chunks along every axis. On a ramp a chunk has the lines that
+are computed side by side, and spans the whole ramp axis if it fits.
 """
 
 import math
@@ -17,40 +17,40 @@ from worker.study.layout import WHOLE_BYTES
 from worker.sweep.schema import bytes_per_cell
 from worker.sweep.specification import AXES, SweepSpec
 
-#: A sweep that costs less than MANY_WORKERS chunks of TARGET_SECONDS has as many, so that each of many
-#: workers has some, or fewer of SHORT_SECONDS, of which a task's overhead is a tenth; a small one has
-#: FEW_WORKERS chunks, or fewer of SMALLEST_SECONDS.
+#: A sweep that costs less than MANY_WORKERS chunks of TARGET_SECONDS is still divided into MANY_WORKERS
+#: chunks, but into none shorter than SHORT_SECONDS, where a task's overhead is a tenth. A small one is
+#: divided into FEW_WORKERS chunks, but into none shorter than SMALLEST_SECONDS.
 MANY_WORKERS, SHORT_SECONDS = 64, 0.15
 FEW_WORKERS, SMALLEST_SECONDS = 8, 0.0125
-#: A sweep that would have more chunks has longer ones instead, of LONGEST_SECONDS at most: 15,000 chunks of
-#: nine arrays are 135,000 files. Like any long chunk, they pause in between.
+#: A sweep that would have more chunks has longer ones, of up to LONGEST_SECONDS: 15,000 chunks of nine arrays
+#: are 135,000 files. Like any long chunk, they pause in between.
 MANY_CHUNKS: Final = 15_000
-#: From this many lines of a ramp on, chunks fill all lanes. With fewer, twice as many chunks of half the
-#: lanes keep more workers busy.
+#: From this number of lines on, chunks of a ramp fill all lanes. With fewer lines, twice the chunks with half
+#: the lanes keep more workers busy.
 LINES_TO_FILL: Final = 4 * LANES
-#: MAX_CHUNK_BYTES of sweeps with many chunks.
+#: MAX_CHUNK_BYTES for sweeps with many chunks.
 MAX_SHARD_BYTES: Final = 96 * 2**20
 
-#: Share of the cells that still settle at the end of their window, and the share of those that still do after
-#: each doubling of the periods: of 24,000 random cells 5.3% after 300 periods, 1.9% after 600, 0.7%
-#: after 1,200, 0.2% after 2,400 (`python -m benchmarks.settling`).
+#: Share of the cells that still settle at the end of their window, and the share of these that still settle
+#: after each doubling of the periods. Of 24,000 random cells 5.3% settle after 300 periods, 1.9% after 600,
+#: 0.7% after 1,200, 0.2% after 2,400 (`python -m benchmarks.settling`).
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
 
-#: Where cells are certified: the share of the cells that settle at the end of their window, 1.1 % of 4,000
-#: random ones; and of those that take all of `until`, as 0.6 % do that settle on average for a quarter of it.
+#: With certificates: the share of cells that settle at the end of their window, 1.1 % of 4,000 random ones,
+#: and the share that would take as long if each took all of `until`: 0.6 % take a quarter of it on average.
 GOING_ON_SHARES: Final = (0.011, 0.0015)
 
-#: The largest share of a sweep's cells that settle: where it is slow 11 % do after 300 plate periods.
+#: The largest share of settling cells in a sweep: 11 % after 300 plate periods where settling is slow.
 MOST_SETTLING: Final = 0.11
 
-#: Share of the cells whose window shows no mode and which are followed beyond it, of 24,000 random cells.
+#: Share of the cells that are followed beyond their window because it shows no mode, of 24,000 random cells.
 FOLLOWED_SHARE: Final = 0.25
-#: Cells are followed beyond their window if they take less than this many times the usual evaluations: most
-#: busier ones use up their budget in it.
+#: Busier cells, in multiples of the usual evaluations, use up their budget in the window and are not
+#: followed.
 BUSIEST_FOLLOWED: Final = 100.0
 
-#: Of a ramp's cells, which begin near their cycle, relative to those from rest.
+#: Cost of a certified cell on a ramp, which begins near its cycle, relative to one from rest.
 CERTIFIED_ON_RAMPS: Final = 0.6
 
 
@@ -59,14 +59,13 @@ def make_plan(
 ) -> Plan:
     """Divide a sweep into chunks of `chunk_shape` cells (xi, omega, gamma).
 
-    By default a chunk costs about TARGET_SECONDS, or up to `longest` if there are many. The division does
-    not affect the stored numbers. Raises ValueError for a size below 1.
+    By default a chunk costs about TARGET_SECONDS, or up to `longest` in a sweep of many chunks. The division
+    does not affect the stored numbers. Raises ValueError for a size below 1.
     """
-    _, *grid = spec.shape
     if chunk_shape is None:
         chunk_shape = block(spec, _cells_per_chunk(spec, longest))
     ramp = None if spec.ramp_axis is None else AXES.index(spec.ramp_axis)
-    return Plan(tuple(grid), chunk_shape, spec.directions, ramp)
+    return Plan(spec.shape[1:], chunk_shape, spec.directions, ramp)
 
 
 def _cells_per_chunk(spec: SweepSpec, longest: float) -> int:
@@ -80,7 +79,7 @@ def _cells_per_chunk(spec: SweepSpec, longest: float) -> int:
 
 
 def _up(size: int, n: int, halved: bool) -> int:
-    """The least chunk size from `size` on along an axis of n cells; a shard's can be `halved` a few times."""
+    """The least chunk size, from `size` on, along an axis of n cells; if `halved` one that can be halved."""
     unit = next(unit for unit in (8, 4, 2, 1) if size >= unit**2) if halved else 1
     return min(size + -size % unit, n)
 
@@ -88,25 +87,25 @@ def _up(size: int, n: int, halved: bool) -> int:
 def block(spec: SweepSpec, cells: int) -> tuple[int, ...]:
     """Chunk shape of at most `cells` cells: as long as possible along the ramp, then balanced.
 
-    Shards are up to a fifth longer along an axis, so that they can be halved.
+    Shards may be a fifth longer along an axis, so that they can be halved.
     """
     grid = dict(zip(AXES, spec.shape[1:], strict=True))
     halved = cells * bytes_per_cell(spec) > WHOLE_BYTES
     size, at_once = dict[str, int](), 1
     if spec.ramp_axis:
-        # all lanes, or one vector of them if there are few lines
+        # all lanes, or one vector if there are few lines
         at_once = cells_at_once(spec)
-        at_once = at_once if lines_of(spec) >= LINES_TO_FILL else min(at_once, LANES // 2)
+        at_once = at_once if spec.lines >= LINES_TO_FILL else min(at_once, LANES // 2)
         n = grid.pop(spec.ramp_axis)
         length = _up(even(n, max(1, cells // at_once)), n, halved)
         size, cells = {spec.ramp_axis: length}, cells // length
-        cells -= cells % at_once if cells > at_once else 0  # lines that fill the lanes
+        cells -= cells % at_once if cells > at_once else 0  # keep lines that fill the lanes
     size |= _filling(grid, cells, halved) if 1 < cells <= at_once else _balanced(grid, max(1, cells), halved)
     return tuple(size[axis] for axis in AXES)
 
 
 def _balanced(grid: Mapping[str, int], cells: int, halved: bool) -> dict[str, int]:
-    """Chunk sizes of at most `cells` cells that divide every axis of `grid` into about as many parts."""
+    """Chunk sizes of at most `cells` cells that divide every axis into about the same number of parts."""
 
     def cut(parts: int) -> dict[str, int]:
         return {axis: _up(-(-n // min(n, parts)), n, halved) for axis, n in grid.items()}
@@ -114,7 +113,7 @@ def _balanced(grid: Mapping[str, int], cells: int, halved: bool) -> dict[str, in
     every = range(1, max(grid.values()) + 1)
     fits = bisect_left(every, True, key=lambda parts: math.prod(cut(parts).values()) <= cells)
     size = cut(every[fits])
-    for axis in ("gamma", "omega", "xi"):  # remaining cells extend the axis of most diagrams first
+    for axis in ("gamma", "omega", "xi"):  # spare cells extend the axis of most diagrams first
         if axis in size:
             most = max(size[axis], cells * size[axis] // math.prod(size.values()))
             size[axis] = _up(even(grid[axis], most), grid[axis], halved)
@@ -126,7 +125,7 @@ def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]
     (slow, height), (fast, width) = grid.items()
 
     def lanes(size: Mapping[str, int]) -> float:
-        rows, columns = ([(each, grid[axis] // each), (grid[axis] % each, 1)] for axis, each in size.items())
+        rows, columns = ([(part, grid[axis] // part), (grid[axis] % part, 1)] for axis, part in size.items())
         return sum(n * m * _lanes(a * b) for (a, n), (b, m) in product(rows, columns))
 
     sizes = [
@@ -137,7 +136,7 @@ def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]
 
 
 def _lanes(lines: int) -> float:
-    """Lanes that take as long as a chunk of `lines`; FEW of them, one by one, take the time of a vector."""
+    """Number of lanes that take as long as these lines; FEW lines, one by one, take as long as a vector."""
     vector = LANES // 2
     return lines * vector / FEW if lines <= FEW else vector * -(-lines // vector)
 
@@ -155,10 +154,7 @@ def estimate(spec: SweepSpec, plan: Plan) -> Cost:
 
 
 def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
-    """Mean core-seconds per cell of a sweep, from the table of contact models.
-
-    alone: as in `period_seconds`.
-    """
+    """Mean core-seconds per cell of a sweep, from the table of contact models; alone: as `period_seconds`."""
     share = CONTACT_MODELS[spec.model.kind].certified if spec.certifies else 1.0
     if spec.certifies and spec.ramp_axis is not None:
         share *= CERTIFIED_ON_RAMPS
@@ -166,7 +162,7 @@ def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
 
 def mean_periods(spec: SweepSpec) -> float:
-    """Mean plate periods of the cells of a sweep, of certified ones as if they were computed to the end."""
+    """Mean plate periods of the cells of a sweep; certified cells count as if computed to the end."""
     if spec.certifies:
         parts = zip((1.0, *GOING_ON_SHARES), [sum(spec.window), *_extensions(spec)], strict=False)
         return sum(part * periods for part, periods in parts)
@@ -178,14 +174,14 @@ def mean_periods(spec: SweepSpec) -> float:
 
 
 def longest_cell_seconds(spec: SweepSpec) -> float:
-    """Core-seconds of a cell among the busiest of the sweep, of which MOST_SETTLING take all of `until`."""
+    """Core-seconds of the busiest cells of the sweep, if MOST_SETTLING of them take all of `until`."""
     followed = 0 if spec.certifies else periods_followed(spec.observe)
     extended = MOST_SETTLING * sum(added + followed for added in _extensions(spec))
     return longest_seconds(spec, sum(spec.window) + followed + extended)
 
 
 def longest_seconds(spec: SweepSpec, until: float) -> float:
-    """Core-seconds of a cell followed for `until` plate periods, among the busiest of the sweep."""
+    """Core-seconds of the busiest cells of the sweep, followed for `until` plate periods."""
     window = sum(spec.window)
     busiest = spec.model.busiest(*map(spec.axis_values, ("gamma", "omega", "xi")))
     return period_seconds(spec) * (busiest * window + min(busiest, BUSIEST_FOLLOWED) * (until - window))
@@ -194,7 +190,7 @@ def longest_seconds(spec: SweepSpec, until: float) -> float:
 def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     """Core-seconds per cell and computed plate period of a sweep, from the table of contact models.
 
-    alone: for a cell computed by itself, as in a refinement.
+    alone: for cells computed one by one, as in a refinement.
     """
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     model = CONTACT_MODELS[spec.model.kind]
@@ -206,16 +202,10 @@ def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
 
 def cells_at_once(spec: SweepSpec) -> int:
-    """Cells, or lines of a ramp, that the kernel computes side by side: fewer leave lanes idle."""
+    """Number of cells, or lines of a ramp, that the kernel computes side by side; fewer leave lanes idle."""
     if not spec.model.in_lanes or spec.exponents:
         return 1
-    return LANES if spec.ramp_axis is None else min(LANES, lines_of(spec))
-
-
-def lines_of(spec: SweepSpec) -> int:
-    """Lines of a ramp, both directions counted once."""
-    _, *grid = spec.shape
-    return math.prod(grid) // len(spec.axis_values(spec.ramp_axis)) if spec.ramp_axis else math.prod(grid)
+    return LANES if spec.ramp_axis is None else min(LANES, spec.lines)
 
 
 def _extensions(spec: SweepSpec) -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""Protocols of a sweep: each cell starts from rest, or on a ramp from the previous cell's final state."""
+"""Protocols of a sweep: cells start from rest, or on a ramp from the final state of the cell before."""
 
 from typing import Annotated, Any, Final, Literal
 
@@ -23,7 +23,7 @@ class Rest(Strict):
     kind: Literal["rest"] = "rest"
 
 
-#: Maximum plate periods of a cycle on which a ramp starts.
+#: Limit on the plate periods of a cycle on which a ramp starts.
 MAX_START_PERIODS: Final = 12
 
 
@@ -50,7 +50,7 @@ class OnCycle(Strict):
     ] = 1
 
 
-#: Tagged, so that errors name its fields and not those of the ramp.
+#: Tagged, so that errors name the cycle's fields and not the ramp's.
 Start = Annotated[
     Annotated[OnCycle, Tag(OnCycle.tag())] | Annotated[None, Tag("<null>")],
     Discriminator(lambda value: "<null>" if value is None else OnCycle.tag()),
@@ -70,9 +70,11 @@ class Ramp(Strict):
 
     @model_serializer(mode="wrap")
     def _plain(self, default: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit a start that is off: job ids made before the field existed must not change."""
+        """Omit a start from rest: ids of jobs made before the field existed must not change."""
         plain: dict[str, Any] = default(self)
-        return {name: value for name, value in plain.items() if name != "start" or value is not None}
+        if self.start is None:
+            plain.pop("start", None)
+        return plain
 
 
 #: The protocols of a sweep by kind.

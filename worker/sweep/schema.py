@@ -1,4 +1,4 @@
-"""The stored variables of a sweep: name, dimensions, type, units, long name and fill value of each, once."""
+"""The stored variables of a sweep: names, dimensions, types, units, long names and fill values, once."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -9,15 +9,7 @@ import numpy as np
 from kernel.params import STATE_FIELDS
 from worker.spec.contact_models import Stepped
 from worker.spec.time_steps import corners, stated
-from worker.study.layout import (
-    CELL_DIMS,
-    OUTCOME_FLAGS,
-    Array,
-    Layout,
-    array,
-    bytes_of,
-    grid_layout,
-)
+from worker.study.layout import CELL_DIMS, OUTCOME_FLAGS, Array, Layout, array, bytes_of, grid_layout
 from worker.sweep.specification import SweepSpec
 
 RECORD: Final = (
@@ -28,7 +20,7 @@ RECORD: Final = (
     array("bounces", CELL_DIMS, "<i4", "mode: bounces in one cycle, 0 if none was found"),
     array("periods", CELL_DIMS, "<i4", "mode: plate periods in one cycle, 0 if none was found"),
 )  # fmt: skip
-#: The arrays of a cell's mode, which a cell that is filled in has from another.
+#: The arrays of a cell's mode. A cell that is filled in takes them from another.
 MODE_ARRAYS: Final = ("outcome", "bounces", "periods")
 END_STATE: Final = array(
     "end_state", (*CELL_DIMS, "state"), "<f8", "state at the end of the window, in the cell's own units",
@@ -57,7 +49,7 @@ COMPUTED: Final = array(
     flag_values=[0, 1], flag_meanings="taken_from_its_block computed",
     comment="0: outcome and mode are those of the nearest computed corner or centre of its block",
 )  # fmt: skip
-#: Written last: a cell with an outcome has all its values.
+#: Written last: a cell with an outcome has all other values.
 OUTCOME: Final = array(
     "outcome", CELL_DIMS, "|u1", "what became of the cell", **OUTCOME_FLAGS,
     comment="3 % of aperiodic cells are periodic in the end, chaotic transients; where no cell is certified, "
@@ -101,9 +93,9 @@ def bytes_per_cell(spec: SweepSpec) -> int:
 def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
     extra_sizes = {dim: n for dim, n in sizes(spec).items() if dim not in CELL_DIMS}
-    # Variable-length text: zarr has no stable form for the fixed-length one.
+    # zarr has no stable form of fixed-length text
     directions = {"direction": np.array(spec.directions, dtype=np.dtypes.StringDType())}
-    found = grid_layout(
+    whole = grid_layout(
         spec,
         chunk_shape,
         tuple(arrays(spec)),
@@ -116,5 +108,5 @@ def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
     if isinstance(spec.model, Stepped):
         axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
         steps = stated(spec.model, corners(*axes))
-        return replace(found, attributes={**found.attributes, "time_steps": steps})
-    return found
+        return replace(whole, attributes={**whole.attributes, "time_steps": steps})
+    return whole

@@ -1,6 +1,6 @@
 """The sweep specification: the contract between client, service and workers.
 
-It imports pydantic, numpy, and those modules of the kernel that need no numba, so that a client can build a
+It imports pydantic, numpy, and modules of the kernel without numba, so that a client can build a
 specification without loading kernels, Dask or zarr.
 """
 
@@ -38,15 +38,15 @@ AXES: Final = ("xi", "omega", "gamma")
 MAX_PERIODS: Final = 10_000_000
 MAX_KEEP: Final = 10_000
 
-#: Maximum lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
+#: Limit on the lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
 MAX_STARTS: Final = 1_000
 
-#: Plate periods before the window of a cell that "settle": "auto" does not certify, and all that a settling
-#: one may take by default: of the cells of docs/specification.md's map, 0.2 % still settle then.
+#: With "settle": "auto", plate periods before the window of a cell that is not certified, and the default
+#: limit for a settling one: 0.2 % of the cells of docs/specification.md's map still settle then.
 SETTLE: Final = 200
 UNTIL: Final = 5_000
 
-#: Fields of earlier releases: their defaults, which say nothing, and what works instead of other values.
+#: Fields of earlier releases: their defaults, which have no effect, and what works instead of other values.
 REMOVED: Final[dict[str, tuple[object, str]]] = {
     "settle_early": (True, "settle 'auto' ends a cell as soon as its cycle is certified"),
     "settle_tolerance": (0.0, "settle 'auto' ends a cell as soon as its cycle is certified"),
@@ -55,7 +55,7 @@ REMOVED: Final[dict[str, tuple[object, str]]] = {
 
 Effort = Literal["draft", "standard", "thorough"]
 
-#: The fields of each effort (docs/accuracy.md has what each shows wrong, and its cost).
+#: The fields of each effort; docs/accuracy.md says what each costs and how much it shows wrong.
 EFFORTS: Final[dict[str, dict[str, Any]]] = {
     "draft": {"settle": "auto", "observe": 30, "until": 260},
     "standard": {"settle": "auto", "observe": 100, "until": None},
@@ -98,7 +98,7 @@ def _auto(value: object) -> object:
     return value
 
 
-#: Tagged, so that errors name the rule of one of the two.
+#: Tagged, so that errors name the rule of one of both.
 AutoSettle = Annotated[
     Annotated[Literal["auto"], Tag("<auto>")] | Annotated[Settle, Tag("<periods>")],
     Discriminator(lambda value: "<auto>" if value == "auto" else "<periods>"),
@@ -117,8 +117,8 @@ class SweepSpec(Specification):
     """A parameter sweep: its cells, protocol, contact model, and the length of its records.
 
     `settle`, `observe` and `until` are in plate periods, `keep` in flights, `micro_flight` in rad.
-    `parent` is a label: the job in whose map this sweep is a window.
-    `SweepSpec(gamma=..., omega=..., xi=...)` raises `SpecInvalid`, which names each field and rule.
+    `parent` is a label: the job in whose map this sweep is a window. Raises `SpecInvalid`, which names each
+    field and rule.
     """
 
     AXES: ClassVar = AXES
@@ -154,7 +154,7 @@ class SweepSpec(Specification):
     @model_validator(mode="before")
     @classmethod
     def _of_today(cls, fields: Any) -> Any:
-        """Leave out removed fields, and refuse those that ask for something with what works instead."""
+        """Leave out removed fields; refuse values that had an effect, and say what works instead."""
         if not isinstance(fields, dict) or not REMOVED.keys().isdisjoint(cls.model_fields):
             return fields
         for name in removed_from(fields):
@@ -164,7 +164,7 @@ class SweepSpec(Specification):
     @model_validator(mode="before")
     @classmethod
     def _resolved(cls, fields: Any) -> Any:
-        """Put the fields of an effort in its place."""
+        """Replace an effort by its fields."""
         effort = fields.get("effort") if isinstance(fields, dict) else None
         if not isinstance(effort, str) or effort not in EFFORTS:
             return fields
@@ -192,7 +192,7 @@ class SweepSpec(Specification):
         return self
 
     def _check_until(self) -> None:
-        """`until` is for auto, and allows another window after the first."""
+        """Check that `until` is used with auto, and allows another window after the first."""
         if self.until is None:
             return
         if self.settle != "auto":
@@ -204,7 +204,7 @@ class SweepSpec(Specification):
             raise BrokenRuleError("until", f"{needed}; leave it out for {UNTIL:,}")
 
     def _check_exponents(self) -> None:
-        """No more exponents than the state has dimensions, and none where no variations are computed."""
+        """Check that the model can compute this number of exponents."""
         most = self.model.exponents
         if self.exponents <= most:
             return
@@ -217,7 +217,7 @@ class SweepSpec(Specification):
         raise BrokenRuleError("exponents", rule)
 
     def _check_depth(self) -> None:
-        """With a rest length every cell has its own contact depth: all must lie in the allowed range."""
+        """Check the contact depths of all cells, which differ with a rest length."""
         rest_length = getattr(self.model, "rest_length", None)
         if rest_length is None:
             return
@@ -234,7 +234,7 @@ class SweepSpec(Specification):
             raise BrokenRuleError("model.rest_length", rule)
 
     def _check_start(self) -> None:
-        """Check that every line of a ramp that starts on a cycle has that cycle in its first cell."""
+        """Check that the first cell of every line has the cycle on which a ramp starts."""
         ramp = self.protocol
         if not isinstance(ramp, Ramp) or ramp.start is None:
             return
@@ -242,9 +242,8 @@ class SweepSpec(Specification):
         if self.model.kind not in WITH_CYCLES:
             rule = f"needs a spring, and model.kind is {self.model.kind!r}; {one_of(WITH_CYCLES)} works"
             raise BrokenRuleError("protocol.start", rule)
-        lines = math.prod(self.shape[1:]) // len(self.axis_values(ramp.axis))
-        if lines > MAX_STARTS:
-            rule = f"is possible for at most {MAX_STARTS:,} lines, and this sweep has {lines:,}"
+        if self.lines > MAX_STARTS:
+            rule = f"is possible for at most {MAX_STARTS:,} lines, and this sweep has {self.lines:,}"
             raise BrokenRuleError("protocol.start", rule)
         for cell in self.first_cells():
             if start_of(cell, start.periods) is None:
@@ -259,7 +258,7 @@ class SweepSpec(Specification):
         last = -1 if self.directions[0] == "down" else 0
         values = [self.axis_values(name) for name in AXES]
         values[AXES.index(axis)] = values[AXES.index(axis)][[last]]
-        for xi, omega, gamma in itertools.product(*(each.tolist() for each in values)):
+        for xi, omega, gamma in itertools.product(*(along.tolist() for along in values)):
             yield Cell(gamma, omega, xi)
 
     @property
@@ -271,19 +270,19 @@ class SweepSpec(Specification):
 
     @property
     def window(self) -> tuple[int, int]:
-        """Plate periods before the window and in it, of a cell that is not certified."""
+        """Plate periods before the window, and of the window, of a cell that is not certified."""
         return (SETTLE if self.settle == "auto" else self.settle), self.observe
 
     @property
     def settles_until(self) -> int | None:
-        """Plate periods that a cell still settling may take in all; None: its window is fixed."""
+        """Limit on all plate periods of a cell that still settles; None: its window is fixed."""
         if self.settle != "auto":
             return None
         return self.until or max(UNTIL, sum(self.window))
 
     @property
     def certifies(self) -> bool:
-        """Whether cells end once their cycle is certified: with tangents, which exponents use up."""
+        """Whether cells end once their cycle is certified. Exponents need the tangents for themselves."""
         return self.settle == "auto" and not self.exponents and self.model.certifies
 
     @property
@@ -301,8 +300,14 @@ class SweepSpec(Specification):
         """Cells along (direction, xi, omega, gamma)."""
         return len(self.directions), *super().shape
 
+    @property
+    def lines(self) -> int:
+        """Lines of a ramp, both directions counted once; from rest every cell is one."""
+        along = 1 if self.ramp_axis is None else len(self.axis_values(self.ramp_axis))
+        return math.prod(self.shape[1:]) // along
+
     def left_out(self) -> set[str]:
-        """The labels, and newer fields that are at their defaults."""
+        """The labels, and newer fields at their defaults."""
         defaults = {"settle": ("auto",), "until": (None, UNTIL), "exponents": (0,), "refine": (None,)}
         unset = {field for field, default in defaults.items() if getattr(self, field) in default}
         return super().left_out() | unset | {"parent"}
@@ -317,7 +322,7 @@ class EarlierSweep(SweepSpec):
     settle_early: bool = True
 
     def today(self) -> SweepSpec:
-        """The sweep that computes it anew; where settling cells went on, with certificates."""
+        """The sweep of this release that computes it anew; with certificates if settling cells went on."""
         fields = {name: value for name, value in self.as_submitted().items() if name not in REMOVED}
         if self.settle_until is not None:
             goes_on = self.settle_until >= SETTLE + 2 * self.observe
@@ -325,7 +330,7 @@ class EarlierSweep(SweepSpec):
         return SweepSpec.parse(fields)
 
     def left_out(self) -> set[str]:
-        """Of the removed fields, those that were off or without effect."""
+        """Also the removed fields that were off or had no effect."""
         off = {name for name in ("settle_tolerance", "settle_until") if not getattr(self, name)}
         had_effect = isinstance(self.protocol, Rest) and not self.exponents
         if self.settle_early or not had_effect or getattr(self.model, "events", "located") == "plain":
@@ -334,7 +339,7 @@ class EarlierSweep(SweepSpec):
 
 
 def removed_from(fields: Mapping[str, object]) -> list[str]:
-    """The removed fields among these that are not at the default that they had."""
+    """The removed fields among these with another value than their default."""
     return [name for name, (default, _) in REMOVED.items() if fields.get(name, default) != default]
 
 
@@ -354,7 +359,7 @@ def start_of(cell: Cell, periods: int) -> Start | None:
 
 
 def no_cycle(cell: Cell, periods: int) -> str:
-    """The rule broken by a cell without a stable cycle, with the nearest range of Gamma that has one."""
+    """The rule that a cell without a stable cycle breaks, with the nearest range of Gamma that has one."""
     where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
     rule = f"there is no stable cycle (1, {periods}) at {where}"
     try:

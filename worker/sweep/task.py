@@ -1,6 +1,6 @@
 """Computes a chunk of a sweep, stores it, and returns a report; repeated, it writes the same bytes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,30 +30,23 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     missing and the chunk can be run again.
     """
     work = Work(store_url, chunk, tuple(schema.arrays(spec)), schema.sizes(spec))
-    _compute_lines(spec, chunk, work, starts_of(spec, chunk, store_url))
+    starts = starts_of(spec, chunk, store_url)
+    lines = _in_visiting_order(spec, chunk, work.record)
+    cells = _in_visiting_order(spec, chunk, cells_of(spec, chunk))
+    indices = list(np.ndindex(lines["outcome"].shape[:2]))
+    groups = [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]  # lines side by side
+    for group in groups[work.done :]:
+        group_cells = {axis: np.concatenate([cells[axis][index] for index in group]) for axis in AXES}
+        computed = compute(spec, work, group_cells, [starts.get(index) for index in group])
+        for name, array in lines.items():
+            for index, part in zip(group, np.split(getattr(computed, name), len(group)), strict=True):
+                array[index] = part
+        work.finish(last=group is groups[-1])
     return work.write()
 
 
-def _compute_lines(
-    spec: SweepSpec, chunk: Chunk, work: Work, starts: Mapping[_LineIndex, Start | None]
-) -> None:
-    """Compute every cell of a chunk, line by line or all lines side by side."""
-    lines, cells = (
-        _in_visiting_order(spec, chunk, arrays) for arrays in (work.record, cells_of(spec, chunk))
-    )
-    indices = list(np.ndindex(lines["outcome"].shape[:2]))
-    groups = [indices] if cells_at_once(spec) > 1 else [[index] for index in indices]
-    for group in groups[work.done :]:
-        line_cells = {axis: np.concatenate([cells[axis][index] for index in group]) for axis in AXES}
-        done = compute(spec, work, line_cells, [starts.get(index) for index in group])
-        for name, array in lines.items():
-            for index, part in zip(group, np.split(getattr(done, name), len(group)), strict=True):
-                array[index] = part
-        work.finish(last=group is groups[-1])
-
-
 def compute(spec: SweepSpec, work: Work, cells: _Arrays, starts: list[Start | None]) -> Line:
-    """Compute a line to its end; any error notes its cells."""
+    """Compute a line to its end. Raises as `Work.compute`; any error has a note with the cells."""
     try:
         return work.compute(_line_run(spec, [cells[name] for name in Cell._fields], starts))
     except Exception as error:
@@ -76,7 +69,11 @@ def run_cells(
     None starts from rest. settle: plate periods before the window, if not the sweep's. Raises
     KernelInputError for values that the kernel does not accept.
     """
-    run = _line_run(spec, (gamma, omega, xi), [start], settle)
+    return to_end(_line_run(spec, (gamma, omega, xi), [start], settle))
+
+
+def to_end(run: LineRun) -> Line:
+    """Compute a line to its end. Raises `stopping.Stopped`."""
     while not run.advance(FIRST_STEPS):
         check()
     return run.line
@@ -85,7 +82,7 @@ def run_cells(
 def _line_run(
     spec: SweepSpec, cells: Sequence[NDArray[Any]], starts: list[Start | None], settle: int | None = None
 ) -> LineRun:
-    """Lines of cells as a sweep computes them, at their beginning; of ramps, one for each start.
+    """Lines of cells as a sweep computes them, at their beginning; on ramps one line for each start.
 
     cells: gamma, omega, xi (n,).
     """
@@ -111,7 +108,7 @@ def starts_of(
 ) -> dict[_LineIndex, Start | None]:
     """The start of each line of a ramp's chunk; empty if all lines start from rest.
 
-    complete: as of `store.read_chunk`.
+    complete: as in `store.read_chunk`. Raises PredecessorMissing, or a `store.StoreError`.
     """
     layer = _layer_before(spec, chunk)
     if layer is None:
@@ -127,16 +124,16 @@ def starts_of(
 
 def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start | None]:
     """The start of each line in the first chunk of a ramp, on a cycle if the specification says so."""
-    on = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
-    if on is None:
+    cycle = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
+    if cycle is None:
         return {}
     cells = _in_visiting_order(spec, chunk, cells_of(spec, chunk))
     indices = np.ndindex(cells["gamma"].shape[:2])
-    return {index: start_of(_cell(cells, (*index, 0)), on.periods) for index in indices}
+    return {index: start_of(_cell(cells, (*index, 0)), cycle.periods) for index in indices}
 
 
 def _start_at(arrays: _Arrays, index: tuple[int, ...]) -> Start | None:
-    """The start of the next cell on a ramp; None after a diverged cell, to start from rest."""
+    """The start of the next cell on a ramp; None, from rest, after a diverged cell."""
     if arrays["outcome"][index] == Outcome.DIVERGED:
         return None
     return Start(np.ascontiguousarray(arrays["end_state"][index]), _cell(arrays, index))
@@ -164,15 +161,15 @@ def _layer_before(spec: SweepSpec, chunk: Chunk) -> Chunk | None:
 
 
 def cells_of(spec: SweepSpec, chunk: Chunk) -> _Arrays:
-    """The parameters of every cell, each array of shape chunk.shape."""
+    """The parameters of every cell by axis, arrays of shape chunk.shape."""
     values = [spec.axis_values(axis)[slice(*span)] for axis, span in zip(AXES, chunk.spans, strict=True)]
     return dict(zip(AXES, np.meshgrid(*values, indexing="ij"), strict=True))
 
 
 def _in_visiting_order(spec: SweepSpec, chunk: Chunk, arrays: _Arrays) -> _Arrays:
-    """Views of a chunk's arrays with the cells of a line, in the order of the ramp, along their third axis.
+    """Views of a chunk's arrays, whose third axis has the cells of a line in the order of the ramp.
 
-    From rest all cells form one line; on a ramp there is one line for each pair of the other two parameters.
+    From rest all cells form one line. On a ramp each pair of the other two parameters has a line.
     """
     if spec.ramp_axis is None:
         return {name: array.reshape(1, 1, chunk.cells, *array.shape[3:]) for name, array in arrays.items()}

@@ -119,7 +119,7 @@ def _submitted(
     """kept: whether somebody asks for the job itself, so that no budget cancels it."""
     job, accepted = submission
     if kept:
-        service.budgets.own.discard(job.id)
+        service.budgets.disown(job.id)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(_retry_after(job))

@@ -1,6 +1,6 @@
 """Adopts stores that the ledger does not know.
 
-An older copy of the ledger does not know the jobs accepted since. Their stores have everything else: the
+An older copy of the ledger lacks the jobs accepted since. Their stores have everything else: the
 specification, the division into chunks, and the chunks, each with its seal.
 """
 
@@ -27,16 +27,16 @@ from worker.study import Array, ChunkReport, Plan
 from worker.study.chunks import report_of
 from worker.sweep.specification import SweepSpec, is_open
 
-#: Beyond what any cell has: counts of flights and periods, and times in rad.
+#: Larger than any number of a cell: counts of flights and periods, and times in rad.
 LARGEST: Final = 1e9
 
 
 def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
-    """Adopt a store as the job that it claims to be; chunks that can be read whole are done.
+    """Adopt a store as the job that it claims to be. Chunks that can be read whole are done.
 
-    `named`: the store's name or address, or its job's id, then the newest of its stores. The job is done if
-    all chunks are, else failed: resuming it computes the others. The store is not changed. Raises
-    NotAdoptable if it is no whole store, or if the ledger knows the job.
+    named: name or address of the store, or the id of its job, for the newest of the job's stores. The job is
+    done if all chunks are, else failed: resuming it computes the others. The store is not changed. Raises
+    NotAdoptable if it is not a store of a job, or if the ledger knows the job.
     """
     job_id, named = id_of(Path(named).name), Path(named).name.removesuffix(".zarr")
     unknown = find_unknown(ledger, settings)
@@ -64,9 +64,9 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
 
 
 def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
-    """What a store says about itself: job, specification, plan and chosen model.
+    """Job, specification, plan and chosen model, from the store's attributes.
 
-    Raises StoreError, SpecError, or the errors of reading unexpected attributes.
+    Raises StoreError, SpecError, or the errors of unexpected attributes.
     """
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
@@ -74,10 +74,8 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
     if not attrs["job"] == spec.job_id(version) == job_id:
         raise ValueError(f"it names job {attrs['job']}, its sweep is job {spec.job_id(version)}")
     plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
-    outcome, layout = (
-        store.stored_forms(url, None)["outcome"],
-        study_of(spec).variables(spec, plan.chunk_shape),
-    )
+    layout = study_of(spec).variables(spec, plan.chunk_shape)
+    outcome = store.stored_forms(url, None)["outcome"]
     if dict(zip(outcome.dims, outcome.chunks, strict=True)) != layout.chunk_sizes:
         raise ValueError(f"its attribute chunk_shape {attrs['chunk_shape']} is not that of its arrays")
     choice = _choice(attrs["choice"], spec) if is_open(spec) else None
@@ -85,7 +83,7 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
 
 
 def _choice(stored: Any, spec: SweepSpec) -> str:
-    """The chosen model of an `auto` sweep; the timings of the choice are not stored. Raises ValueError."""
+    """The chosen model of an `auto` sweep, without timings, which are not stored. Raises ValueError."""
     try:
         rows = [{**row, "measured": None} for row in stored["table"]]
         choice = ModelChoice.model_validate_json(json.dumps({**stored, "table": rows}))
@@ -96,7 +94,7 @@ def _choice(stored: Any, spec: SweepSpec) -> str:
 
 
 def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
-    """Reports of the chunks with readable arrays and an outcome for every cell."""
+    """Reports of the chunks that can be read and have an outcome for every cell."""
     layout, reports = study_of(spec).variables(spec, plan.chunk_shape), []
     for chunk in plan:
         try:
@@ -111,7 +109,7 @@ def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
 
 
 def _possible(array: Array, values: NDArray[Any]) -> bool:
-    """Whether readers can rely on numbers that, with seals of their own, somebody else may have written."""
+    """Whether values are within the range of an array: a store may be written by others, with valid seals."""
     if (flags := array.attrs.get("flag_values")) is not None:
         return bool(np.isin(values, flags).all())
     if values.dtype.kind == "f":

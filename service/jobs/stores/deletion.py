@@ -1,7 +1,7 @@
-"""Removes the stores of deleted jobs, as recorded in the ledger. Nothing else removes a store.
+"""Removes the stores of deleted jobs. Nothing else removes a store.
 
-The transaction that forgets a job adds its store to the ledger's list of deletions; it leaves the list once
-it is removed. An interrupted removal continues at the next start. A store's name is never used twice.
+The transaction that forgets a job adds its store to the ledger's list of deletions. The store leaves the list
+once it is removed. An interrupted removal continues at the next start. No name of a store is used twice.
 """
 
 import logging
@@ -19,28 +19,28 @@ from worker import store
 
 log = logging.getLogger(__name__)
 
-#: Chunks of a deleted job forgotten in one transaction; other writers wait a few milliseconds at most, and
-#: write in between.
+#: Chunks of a deleted job that one transaction forgets, so that other writers wait a few milliseconds at
+#: most.
 CHUNKS_FORGOTTEN: Final = 2_000
-#: Seconds between two of these steps, for other writers.
+#: Seconds between two of these transactions, for other writers.
 YIELD_SECONDS: Final = 0.005
 
 
 def remove_deleted(
     ledger: Ledger, settings: Settings, deletions: Sequence[Deletion], stopping: Event
 ) -> bool:
-    """Remove deleted jobs' stores, without a lock: a bucket may take minutes. Whether nothing remains."""
-    failed = [not _remove(ledger, settings.store_of(each.store), each, stopping) for each in deletions]
-    return not any(failed)
+    """Try to remove the stores of deleted jobs; whether all are removed. A bucket may take minutes."""
+    removed = [_remove(ledger, settings.store_of(job.store), job, stopping) for job in deletions]
+    return all(removed)
 
 
 def _remove(ledger: Ledger, url: str, deletion: Deletion, stopping: Event) -> bool:
-    """Remove one store; whether that is done."""
+    """Remove one store; whether it is removed."""
     began = time.monotonic()
     try:
         ledger.check()
-        with suppress(Exception):  # no inode left, a folder that cannot be written: it only saves time
-            store.set_cancelled(url)  # a worker that lost its connection may still compute
+        with suppress(Exception):  # a worker that lost its connection may still compute
+            store.set_cancelled(url)
         store.remove(url)
         store.clear_cancelled(url)
         forgotten = False
@@ -49,7 +49,7 @@ def _remove(ledger: Ledger, url: str, deletion: Deletion, stopping: Event) -> bo
                 return False
             with ledger.writing() as writing:
                 forgotten = writing.forget_deletion(deletion, CHUNKS_FORGOTTEN)
-    except Exception as error:  # noqa: BLE001 - a bucket that does not answer, a folder that cannot be changed
+    except Exception as error:  # noqa: BLE001 - such as a bucket that does not answer
         log.warning("%s cannot be removed now, it is tried again: %s", url, error)
         return False
     log.info("%s is removed, in %.1f s", url, time.monotonic() - began)
@@ -57,7 +57,7 @@ def _remove(ledger: Ledger, url: str, deletion: Deletion, stopping: Event) -> bo
 
 
 def remove_if_deleted(ledger: Ledger, job: JobRecord) -> None:
-    """Have a job's store removed that was written while the job was deleted. Raises LedgerUnavailable."""
+    """Have a store removed again if its job was deleted while it was written. Raises LedgerUnavailable."""
     with ledger.writing() as writing:
         deleted = writing.delete_again(job)
     if deleted:

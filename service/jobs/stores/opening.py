@@ -1,8 +1,8 @@
-"""Opens a ledger beside its stores, and finds those that it does not know.
+"""Opens a ledger with its stores, and finds stores that it does not know.
 
-A file beside the stores marks them as the ledger's. A file system that is not mounted looks like an empty
-folder: everything would be computed again beneath it. Another data folder with the same stores would remove
-results that it does not own.
+A file beside the stores marks them as the ledger's. Without it, a file system that is not mounted would look
+like an empty folder, and everything would be computed again. Another data folder with the same stores would
+remove results that it does not own.
 """
 
 import logging
@@ -38,22 +38,22 @@ class StoresMarker:
         self._checked = float("-inf")
 
     def claim(self, adopting: bool = False) -> None:
-        """Mark the stores of a ledger that has not marked any, or that adopts them.
+        """Mark the stores if the ledger has not marked them before, or if it adopts them.
 
-        Raises LedgerUnusable if they are another ledger's. If it cannot write the marker, `fault` reports
-        that.
+        Raises LedgerUnusable if they are another ledger's. If the marker cannot be written, `fault` reports
+        it.
         """
         with self._ledger.reading() as reading:
             ours, made = reading.marker()
         try:
-            there = store.read_marker(self._url)
-            if there not in (None, "", ours) and (made or not self._within_data):
-                raise LedgerUnusable(self._foreign(str(there)))
-            # Left empty by a power cut, it is ours where the ledger knows every store beside it.
-            emptied = there == "" and not find_unknown(self._ledger, self._settings)
-            if there != ours and (adopting or not made or emptied):
+            marker = store.read_marker(self._url)
+            if marker not in (None, "", ours) and (made or not self._within_data):
+                raise LedgerUnusable(self._foreign(str(marker)))
+            # a marker that a power cut left empty is ours if the ledger knows every store beside it
+            emptied = marker == "" and not find_unknown(self._ledger, self._settings)
+            if marker != ours and (adopting or not made or emptied):
                 store.write_marker(self._url, ours)
-            elif there != ours:
+            elif marker != ours:
                 return
         except _UNREADABLE as error:
             log.warning("%s cannot be marked as this ledger's: %s", self._url, error)
@@ -78,27 +78,27 @@ class StoresMarker:
         if not made:
             return
         try:
-            there = store.read_marker(self._url)
+            marker = store.read_marker(self._url)
         except _UNREADABLE as error:
             if store.in_bucket(self._url):
-                return  # any use of the bucket raises its error
+                return  # the next use of the bucket raises its error
             reason = getattr(error, "strerror", None) or type(error).__name__
             raise LedgerUnavailable(f"the folder of the stores cannot be read: {reason}") from error
-        if not there:
+        if not marker:
             raise LedgerUnavailable(
                 f"the stores are not there: their marker {store.MARKER} is missing, as where a file system "
                 "is not mounted; mount it, or if these are the stores, stop the service and run "
                 "bounce adopt --all"
             )
-        if there != ours:
-            raise LedgerUnavailable(self._foreign(there))
+        if marker != ours:
+            raise LedgerUnavailable(self._foreign(marker))
         self._checked = time.monotonic()
 
-    def _foreign(self, there: str) -> str:
+    def _foreign(self, marker: str) -> str:
         return (
             f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
-            f"{there[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for good, "
-            f"remove {store.MARKER} and run bounce adopt --all"
+            f"{marker[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for "
+            f"good, remove {store.MARKER} and run bounce adopt --all"
         )
 
 
@@ -108,12 +108,12 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
     Raises OSError, or one of `store.UNREACHABLE`.
     """
     with ledger.reading() as reading:
-        known = reading.stores()
-    return [name for name in _stored(settings) if name not in known]
+        names = reading.stores()
+    return [name for name in _stored(settings) if name not in names]
 
 
 def report_unknown(ledger: Ledger, settings: Settings) -> list[str]:
-    """The stores that `find_unknown` finds, named in the log. They may be all that remains of a job.
+    """Name the unknown stores in the log, and return them: they may be all that remains of a job.
 
     Raises one of `store.UNREACHABLE`.
     """
@@ -154,10 +154,10 @@ def has_stores(settings: Settings) -> bool:
 
 
 def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
-    """The ledger of the settings' data folder, its stores marked as its own.
+    """Open the ledger of the settings' data folder, and mark its stores as its own.
 
-    Its next jobs are numbered beyond all stores: an older copy of a ledger does not know the newest of them.
-    Raises as `Ledger` does, and LedgerUnusable if the stores are another ledger's.
+    Its next jobs get numbers above those of all stores: an older copy of a ledger does not know the newest.
+    Raises as `Ledger`, and LedgerUnusable if the stores are another ledger's.
     """
     ledger = Ledger(settings.ledger_path, partial(has_stores, settings))
     try:

@@ -1,8 +1,8 @@
 """Finds damage in stores and repairs it.
 
-Damaged chunks are unmarked and computed again, damaged metadata rewritten. A job of another kernel version is
-not repaired, because this release would add other numbers to its results: its damaged chunks are given up and
-read as missing.
+Damaged chunks are unmarked and computed again; damaged metadata are rewritten. A job of another kernel
+version is not repaired, because this release would add other numbers to its results. Its damaged chunks are
+given up, and read as missing.
 """
 
 import logging
@@ -24,18 +24,18 @@ MAX_DESCRIBED: Final = 3
 
 
 class Repair(NamedTuple):
-    """The damage and its consequence, for users; `lasting`: it stays as it is."""
+    """The damage and its consequence, for users."""
 
     detail: str
-    lasting: bool = False
+    lasting: bool = False  # the damage remains
     unmarked: Sequence[int] = ()  # chunks to compute again
 
 
 def repair(ledger: Ledger, preparer: JobPreparer, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
-    """Repair a store in which a reader found damage, in these chunks or outside any.
+    """Repair a store in which a reader found damage, in these chunks or, without any, in its metadata.
 
-    Called where no run of the job begins meanwhile: it would find chunks unmarked, and its new results would
-    be removed with the old ones. Raises UnknownJob, and LedgerUnavailable, also if the stores are missing.
+    No run of the job may begin meanwhile: it would find chunks unmarked, and its new results would be removed
+    with the old ones. Raises UnknownJob, and LedgerUnavailable, also if the stores are missing.
     """
     job = ledger.find(job_id)
     if job is None:
@@ -67,12 +67,12 @@ def repair_metadata(ledger: Ledger, job: JobRecord, prepared: PreparedJob) -> No
 
 
 def _invalidate(ledger: Ledger, job: JobRecord, prepared: PreparedJob, chunks: Sequence[int]) -> list[int]:
-    """Unmark chunks, whose cells read as missing then; those of an outdated job are given up."""
+    """Unmark chunks, or give up those of an outdated job; their cells then read as missing. Returns them."""
     error = f"its stored results were damaged ({job.notice}): resume the job to compute all of it anew"
     with ledger.writing() as writing:
         current = writing.find(job.id)
         if current is None or current.seq != job.seq:
-            return []  # deleted, and perhaps accepted again
+            return []  # it was deleted, even if it was accepted again
         if job.outdated:
             places = {chunk: prepared.describe(prepared.plan[chunk]) for chunk in chunks}
             lost = [Failure(chunk, place, error, None, tries=0) for chunk, place in places.items()]
@@ -88,9 +88,9 @@ def _invalidate(ledger: Ledger, job: JobRecord, prepared: PreparedJob, chunks: S
 
 
 def find_damage(prepared: PreparedJob, done: Iterable[int]) -> list[ChunkCoords]:
-    """Read all of a store; the chunks of those marked `done` that are damaged.
+    """Read a whole store; the damaged chunks among those marked `done`.
 
-    Raises StoreError if its metadata are.
+    Raises StoreError if the metadata are damaged.
     """
     url, layout = prepared.store_url, prepared.layout
     store.stored_forms(url, prepared.forms)

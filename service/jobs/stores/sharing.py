@@ -1,6 +1,7 @@
-"""A store within a shared file, as text of a page, and back: the job of a shared file in another ledger.
+"""Packs a store into a shared file, as text of a page, and imports it as a job of another ledger.
 
-The file holds the bytes of the store: what is imported is the same to the last bit, and chunks carry seals.
+The file holds the bytes of the store, so that imported results are the same to the last bit. Chunks carry
+seals.
 """
 
 import json
@@ -29,7 +30,7 @@ from worker.sweep import SweepSpec
 from worker.sweep.plan import MAX_SHARD_BYTES
 from worker.sweep.specification import is_open
 
-#: Bytes of a store that a file holds, and of a chunk before compression: plans have half as many at most.
+#: Limits on the bytes of a store in a file, and of a chunk before compression, which is twice that of plans.
 MOST_STORED: Final = 6_000_000
 MOST_OF_A_CHUNK: Final = 2 * MAX_SHARD_BYTES
 
@@ -48,9 +49,9 @@ _IN_PART: Final = (
 
 
 def packed(url: str, layout: Layout, plan: Plan, name: str) -> str:
-    """A store as an element of a page, with its checksum; empty if it is too large, or not complete.
+    """A store as an element of a page, with its checksum; empty if it is too large or not complete.
 
-    `name`: the job's, which may differ from that in the store.
+    name: of the job, which may differ from the name in the store.
     """
     files, size = {_NAME: b64encode(name.encode()).decode()}, 0
     for key in store.keys_of(layout, plan):
@@ -66,10 +67,10 @@ def packed(url: str, layout: Layout, plan: Plan, name: str) -> str:
 def import_shared(
     ledger: Ledger, settings: Settings, check: Callable[[Any], Plan], content: bytes
 ) -> tuple[JobRecord, bool]:
-    """The finished job of a shared file and whether it is new; checks its numbers before they are stored.
+    """Import a shared file; its done job, and whether the job is new. Checks the numbers before storing them.
 
-    `check` refuses a study that the service would not accept. Raises InvalidRequest for another, a thinned or
-    a damaged file, SpecTooLarge, and IllegalTransition for a job that is there but not done.
+    check: refuses studies that the service would not accept. Raises InvalidRequest for a file that is not
+    shared, thinned or damaged, SpecTooLarge, and IllegalTransition if the job exists but is not done.
     """
     files = _unpacked(content)
     try:
@@ -86,10 +87,12 @@ def import_shared(
     check(spec)
     layout = _checked(files, spec, attrs)
     job_id = spec.job_id(KERNEL_VERSION)
-    if (known := ledger.find(job_id)) is not None:
-        if known.state is not JobState.DONE:
-            raise IllegalTransition(f"the job of this file is {known.state} here: wait for it, or delete it")
-        return known, False
+    if (existing := ledger.find(job_id)) is not None:
+        if existing.state is not JobState.DONE:
+            raise IllegalTransition(
+                f"the job of this file is {existing.state} here: wait for it, or delete it"
+            )
+        return existing, False
     with ledger.writing() as writing:
         number = writing.newest_seq() + 1
         writing.continue_after(number)
@@ -108,7 +111,7 @@ def import_shared(
         with ledger.writing() as writing:
             writing.delete(job)
         raise InvalidRequest.of("file", _DAMAGED)
-    for other in find_unknown(ledger, settings):  # that an import which was interrupted left
+    for other in find_unknown(ledger, settings):  # left by an interrupted import
         if id_of(other) == job_id:
             store.remove(settings.store_of(other))
     with ledger.writing() as writing:
@@ -132,7 +135,7 @@ def _unpacked(content: bytes) -> dict[str, bytes]:
 
 
 def _checked(files: dict[str, bytes], spec: Any, attrs: dict[str, Any]) -> Layout:
-    """The layout of these files; their metadata are what it says. Raises InvalidRequest."""
+    """The layout of a store's files, checked against their metadata. Raises InvalidRequest."""
     try:
         plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
         layout: Layout = study_of(spec).variables(spec, plan.chunk_shape)

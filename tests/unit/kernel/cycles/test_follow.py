@@ -140,8 +140,8 @@ def test_a_doubled_branch_ends_beside_its_last_flip(plate, omega, xi):
     flips = [event.point for line in lines for event in line.events if event.kind is FLIP]
     cuts = 0
     for first in filter(None, map(doubled, flips)):
-        points, events = follow(first, 0.0, span=(0.05, 5.0))
-        *kept, end = up_to_shorter(points, events)[0]
+        line = follow(first, 0.0, span=(0.05, 5.0))
+        points, (*kept, end) = line.points, up_to_shorter(line).points
         if len(kept) < len(points) - 1:
             cuts += 1
             away = [np.abs(point.x[:5] - end.x[:5]).max() for point in points]
