@@ -250,7 +250,7 @@ def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) ->
         return _NOT_ASKED
     weight = repeating / sizes["cells"]
     answer = _answer(_masks(table, tolerance)["flights"], table["undecided"], repeating, weight)
-    largest = float(table["deviation"].max())
+    largest = float(np.nanmax(table["deviation"], initial=0.0))
     return answer._replace(largest=largest, covered=weight * covered(sampled, repeating))
 
 

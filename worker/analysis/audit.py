@@ -25,7 +25,7 @@ from kernel.line import LineRun
 from kernel.params import Cell, Line, Outcome, Start, empty_line
 from worker import store
 from worker.analysis.bisection import Status, endless_rest, on_grid
-from worker.analysis.deviation import deviations
+from worker.analysis.deviation import deviations, nearest, sorted_apart
 from worker.spec.contact_models import MIN_RESTITUTION, Auto, Contact, Soft, Stepped
 from worker.study import Chunk
 from worker.study.layout import CELL_DIMS, COMPUTED
@@ -38,6 +38,8 @@ from worker.work import plate_of
 _ANY: Final = (Cell(1.0, 1.0, 1.0),)
 #: Windows of the reference relative to the sweep's.
 LONGER: Final = 10
+#: Flights of a cell that the reference keeps, at least and at most: the store may keep less than a cycle.
+FEWEST_KEPT, MOST_KEPT = 256, 4096
 #: Relative change of a start. The cell is undecided if its answer changes with it.
 MOVED: Final = 1e-12
 #: Number of hard cells next to another mode.
@@ -229,15 +231,17 @@ def _compared(
     label, true_label = _labels(spec, stored, 1), _labels(spec, true, LONGER)
     for i, cell in enumerate(drawn):
         own = cell.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][cell.indices]))
-        deviation = None
-        if own and not np.isnan(apart[i]):
-            deviation = float(apart[i]) if np.isfinite(apart[i]) else -1.0
         yield (
             SETS.index(cell.set), cell.unit, cell.indices[0], *cells[i],
             *(int(getattr(stored, name)[i]) for name in schema.MODE_ARRAYS), int(label[i]),
             *(int(getattr(true, name)[i]) for name in schema.MODE_ARRAYS), int(true_label[i]),
-            deviation, bool(undecided[i]),
+            _field(float(apart[i])) if own else None, bool(undecided[i]),
         )  # fmt: skip
+
+
+def _field(deviation: float) -> float | None:
+    """A deviation as FIELDS has it, which are stored as JSON."""
+    return None if np.isnan(deviation) else deviation if np.isfinite(deviation) else -1.0
 
 
 def reference(
@@ -277,7 +281,8 @@ def _reference(
     return _scalar_run(
         contact or spec.model, cells, starts, settle=settle, observe=observe,
         settle_until=None if until is None else LONGER * until,
-        keep=max(spec.keep, min(LONGER * spec.keep, 4096)), micro_flight=spec.micro_flight,
+        keep=max(spec.keep, min(max(LONGER * spec.keep, FEWEST_KEPT), MOST_KEPT)),
+        micro_flight=spec.micro_flight,
         exponents=spec.exponents if contact is None else 0,
     )  # fmt: skip
 
@@ -314,23 +319,38 @@ def _stepped(
     ended = run_cells(spec, gamma, omega, xi, _start(spec, url, drawn.indices)).end_state[0]
     start = Start(np.ascontiguousarray(ended), cell)
     bounces, periods = int(stored.bounces[0]), max(int(stored.periods[0]), 1)
-    window = {"settle": FOLLOWED, "observe": 2 * periods, "keep": 4096, "micro_flight": spec.micro_flight}
+    window = {
+        "settle": FOLLOWED,
+        "observe": 2 * periods,
+        "keep": MOST_KEPT,
+        "micro_flight": spec.micro_flight,
+    }
     lines = [stored, *(to_end(_scalar_run(model, [cell], [start], **window)) for model in steppers(spec))]
     own, coarse, fine = (_last(line, spec.micro_flight, bounces) for line in lines)
-    deviation, decided = -1.0, len(coarse) == len(fine)
-    if decided and len(own) == len(fine):
+    deviation, decided = np.inf, len(coarse) == len(fine)
+    part = len(own) < bounces  # less than a cycle is kept
+    if decided and (part or len(own) == len(fine)):
         extrapolated = fine + (fine - coarse) / ((STEPS[1] / STEPS[0]) ** 2 - 1.0)
-        deviation = float(np.max(np.abs(np.sort(extrapolated) - np.sort(own)), initial=0.0))
+        deviation = (nearest if part else sorted_apart)(extrapolated, own)
         decided = bool(np.max(np.abs(fine - coarse), initial=0.0) <= tolerance)
     mode = (int(stored.outcome[0]), bounces, int(stored.periods[0]), int(_labels(spec, stored, 1)[0]))
-    return (SETS.index(drawn.set), drawn.unit, drawn.indices[0], *cell, *mode, *mode, deviation, not decided)
+    return (
+        SETS.index(drawn.set),
+        drawn.unit,
+        drawn.indices[0],
+        *cell,
+        *mode,
+        *mode,
+        _field(deviation),
+        not decided,
+    )
 
 
 def _last(line: Line, micro_flight: float, bounces: int) -> _Array:
     """The flights longer than `micro_flight` in the last cycle of the first cell, rad."""
     flights = line.flight_time[0, : line.flights[0]]
     flights = flights[flights > micro_flight]
-    return flights[len(flights) - bounces :] if bounces else flights
+    return flights[-bounces:] if bounces else flights
 
 
 def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:

@@ -33,9 +33,9 @@ def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
 
     NaN if `exact` is unresolved or diverged. Infinite if only `other` is, or if only one of both is at rest;
     0 if both are. For two periodic cells: the largest difference of the sorted flights over a common cycle; a
-    flight without a counterpart counts with its whole time. Otherwise: the largest difference of the
-    quantiles, less the scatter. Flights of at most `micro_flight`, rad, are ignored unless a cell has no
-    others.
+    flight without a counterpart counts with its whole time. Where `other` keeps less than a cycle, `nearest`.
+    Otherwise: the largest difference of the quantiles, less the scatter. Flights of at most `micro_flight`,
+    rad, are ignored unless a cell has no others.
     """
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
@@ -58,12 +58,22 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
         return 0.0 if all(resting) else math.inf
     exact_flights, other_flights = (_flights(line, i, micro_flight) for line in (exact, other))
     common = math.lcm(int(exact.periods[i]), int(other.periods[i]))  # 0 if one of them has no cycle
-    if 0 < common <= LONGEST_CYCLE:
-        return _between_cycles(
-            np.tile(exact_flights[-int(exact.bounces[i]) :], common // int(exact.periods[i])),
-            np.tile(other_flights[-int(other.bounces[i]) :], common // int(other.periods[i])),
-        )
-    return _between_distributions(exact_flights, other_flights)
+    if not 0 < common <= LONGEST_CYCLE:
+        return _between_distributions(exact_flights, other_flights)
+    cycle, kept = exact_flights[-int(exact.bounces[i]) :], other_flights[-int(other.bounces[i]) :]
+    if np.any(cycle > micro_flight):  # of a long chatter nothing else may be kept
+        kept = kept[kept > micro_flight]
+    if len(kept) < other.bounces[i]:
+        return nearest(cycle, kept)
+    tiles = (common // int(line.periods[i]) for line in (exact, other))
+    return sorted_apart(*(np.tile(flights, n) for flights, n in zip((cycle, kept), tiles, strict=True)))
+
+
+def nearest(cycle: _Array, kept: _Array) -> float:
+    """The largest distance of k flights (k,) from the nearest of a cycle's (n,), rad; NaN without any."""
+    if not len(cycle) or not len(kept):
+        return math.nan
+    return float(np.abs(kept[:, np.newaxis] - cycle).min(axis=1).max())
 
 
 def _flights(line: Line, i: int, micro_flight: float) -> _Array:
@@ -74,10 +84,11 @@ def _flights(line: Line, i: int, micro_flight: float) -> _Array:
     return flights[counted(flights, line.flights[[i]], micro_flight)]
 
 
-def _between_cycles(exact: _Array, other: _Array) -> float:
+def sorted_apart(exact: _Array, other: _Array) -> float:
+    """The largest difference of two sorted sets of flights, rad; the smaller set is filled with zeros."""
     longest = max(len(exact), len(other))
     exact, other = (np.sort(np.pad(flights, (0, longest - len(flights)))) for flights in (exact, other))
-    return float(np.max(np.abs(exact - other)))
+    return float(np.max(np.abs(exact - other), initial=0.0))
 
 
 def _between_distributions(exact: _Array, other: _Array) -> float:

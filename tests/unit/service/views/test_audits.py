@@ -117,6 +117,17 @@ def test_time_steps_follow_the_cells_of_a_soft_contact(client: TestClient):
     assert audited(client, rigid, cells=20).sel(question="integrator").sampled == 0
 
 
+def test_flights_are_judged_where_less_than_a_cycle_is_kept(client: TestClient):
+    """Also where nothing is kept but the last hops of a chatter, which do not count."""
+    longer = {"gamma": [0.7, 1.2, 1.6, 2.0, 2.3, 2.5], "omega": [0.5, 0.6, 0.7], "xi": 0.26, "keep": 1}
+    soft = {"kind": "soft", "penetration": 1e-2, "restitution": 0.2}
+    found = audited(client, finished(client, PLANE | longer | {"model": soft}), cells=10)
+    assert found.sel(question="integrator").changed == 0
+    fixed = {"settle": 300, "model": {"kind": "rigid", "restitution": 0.8}, "keep": 16}
+    found = audited(client, finished(client, PLANE | longer | fixed), cells=18)
+    assert found.sel(question="flights").changed <= found.sel(question="mode").changed
+
+
 def test_time_steps_do_not_follow_the_cells_of_another_contact(tmp_path):
     """As if the kernel had another law of contact than its document says."""
     soft = {"kind": "soft", "penetration": 1e-2, "restitution": 0.1}

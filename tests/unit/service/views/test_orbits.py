@@ -318,7 +318,7 @@ def test_a_grid_of_springs_is_searched(python_client: Client):
     grid = python_client.thresholds("0.46:0.5395:2", "0.032,0.05", **how)
     assert (grid.down.dims, grid.down.shape) == (("xi", "omega"), (2, 2))
     assert grid.cause.values[0, 1] == "fold of word ss (2,2)"
-    assert grid.cause.values[1].tolist() == ["a torus around (1,1), locked to (16,16)", "fold (1,1)"]
+    assert grid.cause.values[1].tolist() == ["a torus around (1,1), locked 2/33", "fold (1,1)"]
     assert set(grid.status.values.flat) == {"searched"}
     assert (grid.missed.values == grid.missed.values[0, 0]).all()
     alone = python_client.threshold(0.46, 0.05, **how)
