@@ -567,12 +567,15 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
                 f"the window of {window:,}"
             )
         return f"another cycle lives {-above:.3g} below the prediction"
-    if prediction.cause != EQ_25:
-        return (
-            f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the "
-            "spring; take smaller ones, or start on the cycle"
-        )
-    return f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
+    why = (
+        f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the spring; "
+        "take smaller ones, or start on the cycle"
+    )
+    if prediction.cause == EQ_25:
+        why = f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
+    elif spec.axis_values("gamma")[-1] < prediction.jump:
+        why = f"the ramp begins below the jump at {prediction.jump:.6g}, on a cycle that shrinks to rest"
+    return why
 
 
 VIEW: Final = View(

@@ -3,7 +3,7 @@
 The picture of a grid shows each point as the nearest cell. Pilot points are drawn anywhere in the sweep. The
 nearest cell of every grid, by every effort, is compared with the reference of the point itself
 (`worker.analysis.audit`). All settings are compared at the same first points. Those that are surely worse
-than another are dropped, and the recommended one is judged at fresh points.
+than another are dropped. Those that may be recommended are judged at fresh points.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from worker.sweep.levels import Steps, level_indices
 from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.task import run_cells
 
-#: Points at which all settings are compared, more points for the settings left, and fresh points for the
-#: recommended one.
-FIRST, MORE, FRESH = 40, 60, 100
+#: Points at which all settings are compared, more points for the settings left, and fresh points for
+#: CANDIDATES of them.
+FIRST, MORE, FRESH, CANDIDATES = 40, 60, 100, 4
 
 #: Core-seconds for which a line of cells is repeated; a single run is too short for the clock.
 MIN_SECONDS = 0.05
@@ -76,16 +76,17 @@ def plan(
     undecided = np.concatenate([undecided, more_undecided])
     for i, second in zip(left, more, strict=True):
         shares[i] = _share(np.concatenate([wrong[i], second]), undecided)
-    chosen = recommended(settings, shares, budget, tolerance)
-    [fresh], undecided = _wrong_at(_points(random, thorough, FRESH), [settings[chosen]], thorough)
-    shares[chosen] = _share(fresh, undecided)
-    return shares, chosen
+    chosen = candidates(settings, shares, budget, tolerance)
+    fresh, undecided = _wrong_at(_points(random, thorough, FRESH), [settings[i] for i in chosen], thorough)
+    for i, third in zip(chosen, fresh, strict=True):
+        shares[i] = _share(third, undecided)
+    return shares, recommended(chosen, shares, tolerance)
 
 
-def recommended(
+def candidates(
     settings: Sequence[Setting], shares: Sequence[Share], budget: float | None, tolerance: float | None
-) -> int:
-    """The index of the cheapest setting within budget and tolerance.
+) -> list[int]:
+    """The indices of the cheapest settings within budget and tolerance, the cheapest first.
 
     If there is no tolerance, or no setting keeps it: the setting that shows least wrong within the budget. If
     no setting keeps the budget: the cheapest.
@@ -93,9 +94,17 @@ def recommended(
     numbers = range(len(settings))
     fitting = [i for i in numbers if budget is None or settings[i].seconds <= budget]
     held = [i for i in fitting if tolerance is not None and shares[i].high <= tolerance]
-    if held or not fitting:
-        return min(held or numbers, key=lambda i: settings[i].seconds)
-    return min(fitting, key=lambda i: (shares[i].share, settings[i].seconds))
+    if held:
+        return sorted(held, key=lambda i: settings[i].seconds)[:CANDIDATES]
+    if not fitting:
+        return [min(numbers, key=lambda i: settings[i].seconds)]
+    return [min(fitting, key=lambda i: (shares[i].share, settings[i].seconds))]
+
+
+def recommended(chosen: Sequence[int], shares: Sequence[Share], tolerance: float | None) -> int:
+    """The first candidate that keeps the tolerance at fresh points too, or the one that comes nearest."""
+    held = [i for i in chosen if tolerance is None or shares[i].high <= tolerance]
+    return held[0] if held else min(chosen, key=lambda i: shares[i].high)
 
 
 def frontier(settings: Sequence[Setting], shares: Sequence[Share]) -> list[bool]:

@@ -16,7 +16,7 @@ from service.views.audit import affordable, is_compiled
 from worker.analysis import audit
 from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
-from worker.analysis.planning import Setting, Share, recommended
+from worker.analysis.planning import Setting, Share, candidates, recommended
 from worker.spec.contact_models import Soft
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE
@@ -193,7 +193,8 @@ def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
     settings = [Setting(None, WHOLE, seconds, "draft") for seconds in (9.0, 5.0, 1.0)]
     shares = [Share(100, share, 0.0, share) for share in (0.01, 0.02, 0.3)]
     limits = [(6.0, 0.05), (6.0, None), (None, 0.5), (6.0, 0.001), (0.5, 0.05)]
-    assert [recommended(settings, shares, *each) for each in limits] == [1, 1, 2, 1, 2]
+    assert [candidates(settings, shares, *each) for each in limits] == [[1], [1], [2, 1, 0], [1], [2]]
+    assert [recommended([2, 1, 0], shares, tolerance) for tolerance in (0.5, 0.05, 0.001)] == [2, 1, 0]
 
 
 def test_a_plan_that_would_take_hours_is_refused_before_it_begins(client: TestClient):

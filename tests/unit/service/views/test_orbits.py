@@ -304,6 +304,13 @@ def test_thresholds_of_a_sweep_stand_beside_the_predictions(python_client: Clien
         assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
 
 
+def test_a_ramp_that_begins_below_the_jump_follows_the_cycle_that_shrinks_to_rest(python_client: Client):
+    short = RAMP | {"gamma": {"start": 0.7, "stop": 1.05, "num": 71}, "omega": [0.561], "xi": 0.042}
+    found = python_client.submit(short).wait(progress=False).threshold()
+    assert float(found.down[0]) == pytest.approx(float(found.analytic[0]), abs=0.006)
+    assert str(found.difference.values[0]).startswith("the ramp begins below the jump at 1.068")
+
+
 def test_a_search_finds_what_bounces_below_the_rule(python_client: Client):
     """A (2,2) below all folds of the rule, as of issue 45."""
     answer = python_client.threshold(0.5395, 0.032, search=True, progress=False)
