@@ -573,7 +573,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
     )
     if prediction.cause == EQ_25:
         why = f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
-    elif spec.axis_values("gamma")[-1] < prediction.jump:
+    elif spec.axis_values("gamma")[-1] < prediction.jump and down >= prediction.gamma_th - slack:
         why = f"the ramp begins below the jump at {prediction.jump:.6g}, on a cycle that shrinks to rest"
     return why
 
