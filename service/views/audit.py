@@ -40,7 +40,8 @@ _QUESTION: Final = (
     row("low", ("question",), "<f8", "least share, with 99 % confidence"),
     row("high", ("question",), "<f8", "most, with 95 % confidence"),
     row("largest", ("question",), "<f8", "largest deviation of flights", "rad"),
-    row("covered", ("question",), "<f8", "share of all cells within largest, at least, with 95 % confidence"),
+    row("covered", ("question",), "<f8",
+        "share of all cells within largest or aperiodic, at least, with 95 % confidence"),
 )  # fmt: skip
 _OF_SWEEP: Final = (
     row(

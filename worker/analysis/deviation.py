@@ -34,8 +34,8 @@ def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
     NaN if `exact` is unresolved or diverged. Infinite if only `other` is, or if only one of both is at rest;
     0 if both are. For two periodic cells: the largest difference of the sorted flights over a common cycle; a
     flight without a counterpart counts with its whole time. Where `other` keeps less than a cycle, `nearest`.
-    Otherwise: the largest difference of the quantiles, less the scatter. Flights of at most `micro_flight`,
-    rad, are ignored unless a cell has no others.
+    Otherwise: the largest difference of the quantiles, less the scatter of the shorter window. Flights of at
+    most `micro_flight`, rad, are ignored unless a cell has no others.
     """
     return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
 
@@ -95,7 +95,7 @@ def _between_distributions(exact: _Array, other: _Array) -> float:
     if not len(exact) or not len(other):
         return 0.0 if len(exact) == len(other) else math.inf
     distance = float(np.max(np.abs(_quantiles(exact) - _quantiles(other))))
-    return max(0.0, distance - SCATTERS * _scatter(exact))
+    return max(0.0, distance - SCATTERS * _scatter(min(exact, other, key=len)))
 
 
 def _scatter(flights: _Array) -> float:
