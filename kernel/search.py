@@ -16,7 +16,7 @@ import numpy as np
 from kernel.creep import LONGEST, Crept, creep, rotation, run
 from kernel.cycles.any_contact import both_ways, lies_on, repeats, seeds
 from kernel.cycles.contact_thresholds import above, lowest_stable, rest_ends
-from kernel.cycles.cycles import LANDINGS, Point, confirmed, cycle_from, read
+from kernel.cycles.cycles import LANDINGS, Point, admissible, cycle_from, read
 from kernel.cycles.descent import Descent, cycle_of, descend, ended, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
 from kernel.cycles.follow import Followed
@@ -149,13 +149,12 @@ class _Search:
                 guess = read(self.plate, Cell(gamma, self.omega, self.xi), periods, state)
                 if guess is None or not _NEAR < np.abs(guess[0].equations(guess[1]).value).max() < _FAR:
                     continue
-                point = guess[0].at(guess[1], gamma)
-                if point is not None:
-                    point, broken = confirmed(point)
-                    if broken is None and not repeats(point):
-                        begin = _first(point)
-                        key = (gamma, np.roll(point.times, -begin).round(6).tobytes())
-                        points.setdefault(key, point.begun(begin) if key not in points else point)
+                solved = guess[0].at(guess[1], gamma)
+                point = None if solved is None else admissible(solved)
+                if point is not None and not repeats(point):
+                    begin = _first(point)
+                    key = (gamma, np.roll(point.times, -begin).round(6).tobytes())
+                    points.setdefault(key, point.begun(begin) if key not in points else point)
         return sorted(points.values(), key=lambda point: (point.cycles.periods, len(point.letters)))
 
     def _follow(self, point: Point) -> None:
