@@ -25,7 +25,7 @@ from worker.sweep.specification import (
     Xi,
 )
 
-#: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
+#: Maximum starts of a cell, which are computed and stored together, and maximum rows or columns.
 MAX_STARTS: Final = 512 * 512
 MAX_SIDE: Final = 4096
 MAX_HEIGHT: Final = 1e6
@@ -142,7 +142,7 @@ class GridSpec(Specification):
         return self
 
     def _check_until(self) -> None:
-        """`settle_until` allows another window after the first."""
+        """Raise BrokenRuleError unless `settle_until` allows another window after the first."""
         effective = self.settle + 2 * self.observe
         if self.settle_until is not None and self.settle_until < effective:
             needed = f"must be at least settle + 2 × observe, {effective:,}, to have an effect"
