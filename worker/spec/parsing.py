@@ -75,9 +75,9 @@ def read_json(text: str | bytes) -> object:
 
 
 def _syntax(format: str, text: str, line: int, column: int) -> str:
-    """The rule that a text breaks at a place, counted from 1."""
-    there = text.split("\n")[line - 1][max(column - 3, 0) : column + 1]
-    rule = ": a number has a decimal point, no comma" if re.search(r"\d,\d", there) else ""
+    """The message for a syntax error at this line and column, counted from 1."""
+    around = text.split("\n")[line - 1][max(column - 3, 0) : column + 1]
+    rule = ": a number has a decimal point, no comma" if re.search(r"\d,\d", around) else ""
     return f"the text is not {format} at line {line}, column {column}{rule}"
 
 
@@ -189,8 +189,8 @@ def _read_yaml(content: bytes) -> object:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        said = error.problem if isinstance(error, yaml.constructor.ConstructorError) else ""
-        raise _unreadable(f"the text is not YAML{where}{said and f': {said}'}") from None
+        why = f": {error.problem}" if isinstance(error, ConstructorError) else ""
+        raise _unreadable(f"the text is not YAML{where}{why}") from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the YAML cannot be read: {error}") from None
 
