@@ -1,8 +1,7 @@
 """Results as xarray Datasets, read from the service's form; `dataset.bounce`: flights as a table, and a plot.
 
-An accessor, as other packages on xarray have one: results stay plain Datasets, with all of xarray's own
-methods, and these two answer for a diagram, a map, thresholds and a whole sweep alike. Nothing is shown or
-saved: that is the caller's part, as with `xarray.Dataset.plot`.
+Results stay plain Datasets with all of xarray's own methods. The accessor serves diagrams, maps, thresholds
+and whole sweeps alike. The caller shows or saves plots, as with `xarray.Dataset.plot`.
 """
 
 import json
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from service.client.measured import Data
 
-#: What a table of flights says of their cells.
+#: Columns of a table of flights that describe their cells.
 _OF_CELLS: Final = ("outcome", "label", "lyapunov_error", "bounces", "periods", "flight_error", "multiplier")
 
 _DTYPES: Final = frozenset({"bool", "str", "uint8", "int32", "int64", "float32", "float64", "complex128"})
@@ -72,7 +71,7 @@ def _variable(about: Mapping[str, Any], content: memoryview, sizes: Mapping[str,
 
 
 class BounceAccessor:
-    """What results can be asked beyond xarray's own methods."""
+    """The methods of results beyond xarray's own."""
 
     def __init__(self, dataset: xarray.Dataset) -> None:
         self._dataset = dataset
