@@ -1,4 +1,4 @@
-"""What `bounce doctor` looks at: versions, cores, kernel cache, disk, ledger, stores, service, results."""
+"""The checks of `bounce doctor`: versions, cores, kernel cache, disk, ledger, stores, service, results."""
 
 import os
 import shutil
@@ -46,7 +46,7 @@ def examine(settings: Settings, url: str) -> list[Finding]:
 def _contained(part: Callable[[Settings], Iterator[Finding]], settings: Settings) -> list[Finding]:
     try:
         return list(part(settings))
-    except Exception as error:  # noqa: BLE001 - whatever is wrong is what is asked for
+    except Exception as error:  # noqa: BLE001 - every error is a finding
         return [Finding(part.__name__.strip("_"), str(error) or type(error).__name__, ok=False)]
 
 
@@ -122,9 +122,9 @@ def _stores(settings: Settings) -> Iterator[Finding]:
 
 
 def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
-    """Read all results of a job, or of all jobs; have what is damaged computed again at the next start.
+    """Read all results of a job, or of all jobs; damaged ones are computed again at the next start.
 
-    Where a service uses the folder, damage is only named. Raises UnknownJob.
+    Only names the damage while a service uses the folder. Raises UnknownJob.
     """
     if not settings.ledger_path.exists():
         yield from _ledger(settings)
@@ -149,7 +149,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
 def _verify(
     preparer: JobPreparer, ledger: Ledger | None, job: JobRecord, done: list[int]
 ) -> tuple[str, bool]:
-    """Read a job's `done` chunks; what is damaged, and whether nothing is."""
+    """Read a job's `done` chunks; a sentence on the damage, and whether there is none."""
     try:
         prepared = preparer.prepare(job)
         if ledger is not None:
