@@ -1,4 +1,4 @@
-"""From the flights of a window to the mode (bounces, plate periods), or to whether they still settle.
+"""The mode (bounces, plate periods) of the flights of a window, or whether they still settle.
 
 The rules are those of docs/model.md, section 4; `benchmarks.settling` measures them.
 """
@@ -46,12 +46,12 @@ class Flights(NamedTuple):
     phase: Any  # float64, rad modulo 2 pi, at take-off
     period: Any  # int64, plate periods since the cell began, at take-off
     size: int  # a power of two
-    stored: int  # of which are stored with the cell
+    stored: int  # flights stored with the cell
 
 
 @inlined
 def slot(flights: Flights, first: int, n: int) -> int:
-    """Where the n-th flight of a lane is whose ring buffer begins at `first`."""
+    """Index of the n-th flight of a lane whose ring buffer begins at `first`."""
     return first + (n & (flights.size - 1))
 
 

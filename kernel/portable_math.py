@@ -1,7 +1,7 @@
 """log, exp, hypot, atan2 and others whose last digit is the same on every machine.
 
-The C library's and numpy's differ between versions, and on one library between processors with and without
-fused multiply-adds; a cell near a bifurcation makes another outcome of that. Here they are written with
+The functions of the C library and of numpy differ between versions, and between processors with and without
+fused multiply-adds; that can change the outcome of a cell near a bifurcation. Here they are written with
 +, -, *, / and square roots, each correctly rounded everywhere, and frexp and ldexp, which are exact. So
 plain Python, which the specification uses, and compiled code give the same bytes.
 

@@ -102,13 +102,13 @@ class Hop(NamedTuple):
 
 @jit
 def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int) -> Hop:
-    """The end of a hop that is surely over soon: where gap + lead gap', at most zero now, is zero again.
+    """The end of a short hop: where gap + lead gap', at most zero now, is zero again.
 
     lead = 0 is a landing. Where HOP_VARIATION bounds its second derivative, the function rises and falls
     once, so that the zero at which it falls is the first. Newton's steps on its polynomial guess it; a power
     series of the state there and Householder's step end it to rounding, without a sine. Not served: where the
-    second derivative may change too much, where the function leaves zero at less than half of its rate now,
-    or where the series is too long.
+    second derivative may change too much, where the function leaves zero at less than half of its present
+    rate, or where the series would be too long.
     """
     drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
     q2 = drag * p.q1 + pull * p.q
@@ -242,10 +242,10 @@ def flight_terms(p: Flight, tau: float) -> Terms:
 
 @jit
 def landing_error(p: Flight, tau: float) -> float:
-    """How far rounding may move the landing at tau, in rad: far for a touch, as the gap's rate is small.
+    """How far rounding may move the landing at tau, in rad: far for a touch, where the gap's rate is small.
 
-    With that of the take-off, where the force, minus the gap's second derivative, falls through zero: if
-    slowly, a delay of the take-off makes the flight longer by three times as much.
+    Includes the error of the take-off, which is large if the force, minus the gap's second derivative, falls
+    through zero slowly. A delay of the take-off makes the flight longer by three times as much.
     """
     f = flight_terms(p, tau)
     rate = abs(f.smooth1 + f.ring1)

@@ -230,11 +230,11 @@ def land(s: Spring, phi: PlatePhase, tau: float, state: State, used: int) -> Pha
 def _rest_of_chatter(
     s: Spring, phi: PlatePhase, hop: float, q: float, q1: float
 ) -> tuple[bool, float, float]:
-    """Whether chatter that begins with `hop` may be summed; what it adds to q and q' of a mass that sticks.
+    """Whether chatter that begins with `hop` may be summed, and its change of q and q' of a mass that sticks.
 
-    In a hop the upper mass is accelerated by b gap' + w gap more than if the lower one stuck. All of it is
-    added now, as what is free in contact carries it on. That acceleration lowers n too, which moves the sums
-    as far as a rate of b n would.
+    In a hop the upper mass is accelerated by b gap' + w gap more than if the lower one stuck. The whole
+    change is added now, and the free motion in contact carries it on. That acceleration lowers n too, which
+    moves the sums as far as a rate of b n would.
     """
     b, w = s.dashpot, s.stiffness
     n = normal_force(s, phi.cos, q, q1)
