@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 #: Not from `paths`: benchmarks import this module without the tests' import path.
 ROOT = Path(__file__).parents[2]
-#: Seconds until whatever is left is killed.
+#: Seconds until remaining processes are killed.
 LIMIT = 20.0
 CTRL_C = b"\x03"
-#: What nobody wants to read after Ctrl-C.
+#: Output that nobody wants to read after Ctrl-C.
 NOISE = re.compile(r"Traceback|Exception ignored|distributed|Nanny|tornado|leaked|Aborted!", re.IGNORECASE)
 
 
@@ -74,7 +74,7 @@ class Command:
         return self._output.decode(errors="replace")
 
     def wait_for(self, condition: Callable[["Command"], bool], seconds: float = 240.0) -> None:
-        """Wait until something is so. Raises AssertionError if the command ends before."""
+        """Wait until the condition holds. Raises AssertionError if the command ends before."""
         deadline = time.monotonic() + seconds
         while not condition(self):
             assert self._process.poll() is None, self.output
@@ -82,7 +82,7 @@ class Command:
             time.sleep(0.02)
 
     def sleep(self, seconds: float) -> None:
-        """Let it run for so long, or until it ends."""
+        """Let it run for this long, or until it ends."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
 

@@ -69,7 +69,7 @@ def _contact_force(g: Glued, phi: PlatePhase, state: State) -> float:
 
 
 class GluedFields(ContactFields):
-    """What a specification says of it."""
+    """Its fields in a specification."""
 
     kind: Literal["glued"]
     colour: Literal["red", "blue"] = "red"
