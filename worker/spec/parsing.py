@@ -37,6 +37,13 @@ def _unreadable(rule: str) -> SpecUnreadable:
     return SpecUnreadable([Problem("", rule)])
 
 
+def _decoded(content: bytes) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+
+
 def _reject_constant(word: str) -> object:
     raise _unreadable(f"{word} is not a number in JSON; leave the value out or give a finite one")
 
@@ -58,14 +65,12 @@ def _reject_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def read_json(text: str | bytes) -> object:
     """Parse JSON text. Raises `SpecUnreadable` with the line and column of a syntax error."""
+    decoded = text if isinstance(text, str) else _decoded(text)
     try:
-        decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
         return json.loads(
             decoded, parse_constant=_reject_constant, parse_int=_whole,
             object_pairs_hook=_reject_repeated_keys,
         )  # fmt: skip
-    except UnicodeDecodeError as error:
-        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:
         if not decoded.strip():
             raise _unreadable("the text is empty") from None
@@ -111,10 +116,7 @@ def _text(content: bytes, format: str) -> str:
         raise _unreadable(
             f"a {format} file must be at most {MAX_SLOW_BYTES} bytes; give long axes as ranges, or write JSON"
         )
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+    return _decoded(content)
 
 
 def _read_toml(content: bytes) -> object:
