@@ -28,7 +28,7 @@ from kernel.portable_math import log
 LOST: Final = 1e-12
 
 ALIGN: Final = 1.5  # windows in which variations turn to the directions of growth; 1 is not enough
-PARTS: Final = 5  # overlapping thirds of the window, whose means tell the first exponent's error
+PARTS: Final = 5  # overlapping thirds of the window, whose means give the first exponent's error
 SHORTEST: Final = 40  # plate periods; the parts of a shorter window would be correlated
 #: The variance of the means of parts expected over that of the window's. Neighbours correlate by 0.2.
 SPREAD: Final = 3.0 * (1.0 - 2.0 / PARTS * 0.201)

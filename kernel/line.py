@@ -136,7 +136,7 @@ def _after_window(
             lyapunov.write_exponents(line.lyapunov[i], run.ending, variations)
             line.lyapunov_error[i] = lyapunov.exponent_error(run.ending, variations, window.observe)
         cell.write_record(line, i, run, flights, first, window)
-        if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to tell one from the other
+        if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to distinguish the two
             cell.store_run(run, lanes.ends[k])
             lanes.followed[k] = True
             return cell.follow(before, window)
@@ -357,7 +357,7 @@ class LineRun:
 def run_line(
     gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], **options: Any
 ) -> Line:
-    """Run n cells in the given order and return their record. Arguments and errors as of `LineRun`."""
+    """Run n cells in the given order and return their record. Arguments and errors as for `LineRun`."""
     run = LineRun(gamma, omega, xi, **options)
     run.advance()
     return run.line

@@ -16,9 +16,9 @@ from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 #: `_soon_after` sums the power series of q in tau to this order, for tau * rate < SHORT. With |q^(4)| <= b,
-#: |q^(k)| is at most 1.62 b rate^(k-4): what is omitted is below 1.62 b tau^4 0.5**13/17! = 6e-19 b tau^4 of
-#: q and 1e-17 b tau^3 of q', rounding errors of the fourth order's terms. In a hop b tau^2 is at most
-#: 3 |gap''|, as HOP_VARIATION says, so that its end moves by less than 1e-16 of it.
+#: |q^(k)| is at most 1.62 b rate^(k-4): the omitted terms are below 1.62 b tau^4 0.5**13/17! = 6e-19 b tau^4
+#: in q and 1e-17 b tau^3 in q', rounding errors of the fourth order's terms. In a hop b tau^2 is at most 3
+#: |gap''|, as HOP_VARIATION says, so that its end moves by less than 1e-16 of it.
 SERIES_ORDER: Final = 16
 #: Of the order n, at n.
 _ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, SERIES_ORDER + 1))])

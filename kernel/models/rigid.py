@@ -59,7 +59,7 @@ class Spring(NamedTuple):
     dashpot: float  # 2 xi/Omega
     stiffness: float  # w = 1/Omega**2
     restitution: float
-    stuck: Oscillator  # the free elongation in contact, of stiffness w_s: w but for NEAREST_RESONANCE
+    stuck: Oscillator  # the free elongation in contact, of stiffness w_s: w, or w shifted from resonance
     flight: Oscillator  # and in flight
     static_elongation: float  # -Omega**2/Gamma
     q_re: float  # the driven elongation is Re(Q e^{i phi})
@@ -67,7 +67,7 @@ class Spring(NamedTuple):
     mean_force: float  # 2/Gamma
     n_re: float  # the driven normal force is mean_force - Re(N e^{i phi}), |N| = 2/Gamma_th
     n_im: float
-    margin: float  # mean_force - |N|: what the free part must bring up for a take-off, if positive
+    margin: float  # mean_force - |N|: if positive, a take-off needs a free part of this size
 
 
 class Stuck(NamedTuple):

@@ -94,7 +94,7 @@ class SoftSpring(NamedTuple):
     static_lift: float  # of the lift-off function, > 0
     wave_re: float  # its driven part Re(W e^{i phi})
     wave_im: float
-    margin: float  # static_lift - |W|: what both free modes must bring up for a take-off, if positive
+    margin: float  # static_lift - |W|: if positive, a take-off needs free modes of this size
 
 
 class ModalState(NamedTuple):

@@ -110,7 +110,7 @@ class _EntryLibrary(_InnerLibrary):
         self._linking_libraries: list[CodeLibrary] = []
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage.name == "linkonce_odr":
-                function.linkage = "internal"  # LLVM inlines what is called once, and drops what is not
+                function.linkage = "internal"  # LLVM inlines functions called once, and drops unused ones
         self.bitcode = self._final_module.as_bitcode()
         super().finalize()
 
