@@ -122,7 +122,7 @@ def _handed_over(address: str) -> str:
     return file.as_uri()
 
 
-#: The commands in groups, in the order of `bounce --help`, and what follows their names in an example.
+#: The commands in groups, in the order of `bounce --help`, with the arguments of an example.
 GROUPS: Final = {
     "Sweeps": {
         "submit": "sweep.toml --wait", "plan": "sweep.toml --budget 5m", "run": "sweep.toml -o sweep.zarr",

@@ -1,4 +1,4 @@
-"""What the commands of `bounce` share: error messages, common options, output files."""
+"""Error messages, common options and output files of the commands of `bounce`."""
 
 import errno
 import os

@@ -46,7 +46,7 @@ def job_table(jobs: Sequence["Job"]) -> str:
 
 
 def estimate_line(estimate: "Estimate") -> str:
-    """The estimated cost of a sweep, in time on the workers that there are."""
+    """The estimated cost of a sweep, in time on the present workers."""
     from rich.filesize import decimal
 
     def time(core_seconds: float | None) -> str:

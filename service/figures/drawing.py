@@ -1,4 +1,4 @@
-"""What the figures share: captions, claims, and the picture with its caption below.
+"""Captions and claims of the figures, and the picture with its caption below.
 
 Figures have the style of the views' pictures.
 """

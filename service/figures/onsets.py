@@ -268,8 +268,8 @@ def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
     """Not in the paper: whether the threshold depends on the "large amplitude" at the start."""
     same = loop.down.sel(omega=lower.omega, method="nearest").values
     moved = np.abs(lower.down.values - same) > STEPS_APART * step
-    known = np.isfinite(lower.down.values) & np.isfinite(same)
-    slow, fast = (known & side for side in (lower.omega.values < SLOW, lower.omega.values >= SLOW))
+    both = np.isfinite(lower.down.values) & np.isfinite(same)
+    slow, fast = both & (lower.omega.values < SLOW), both & (lower.omega.values >= SLOW)
     return left_open(
         "the amplitude that the ramp down begins with, which may matter where modes coexist: from "
         f"Γ = 1.2 instead of 3, {moved[slow].sum()} of {slow.sum()} thresholds below Ω = 0.5 and "

@@ -51,7 +51,7 @@ CELLS_PER_LINE: Final = 8
 
 
 class Purpose(NamedTuple):
-    """What a model is used for: the contact that its errors are measured from."""
+    """A use of the models: the contact that their errors are measured from."""
 
     exact: Soft
     title: str  # of its panel
@@ -86,7 +86,7 @@ class Setting(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The contact and what tells it from the others: `stepped 20 verlet, d = 0.001`."""
+        """The contact with its distinctive parameters: `stepped 20 verlet, d = 0.001`."""
         fields = self.contact.model_dump()
         steps = f" {fields['steps_per_contact']} {fields['scheme']}" if "scheme" in fields else ""
         depth = f", d = {fields['penetration']:g}" if "penetration" in fields else ""
@@ -178,7 +178,7 @@ class Series(NamedTuple):
     """How the rows of one model or scheme are drawn."""
 
     label: str
-    colour: str  # one of those that colour-blind readers can tell apart (Okabe and Ito's)
+    colour: str  # from the palette of Okabe and Ito, for colour-blind readers too
     marker: str
     text_at: tuple[float, float]  # place of a label, in points from its mark
     text_side: str  # side of the label that is at this place
