@@ -223,9 +223,8 @@ class _Search:
         """The attractor on which run i of a record ends, known or new; None without a cycle."""
         if line.outcome[i] not in (Outcome.PERIODIC, Outcome.AT_REST):
             return None
-        known = self._known_attractor(line, i)
-        if known is not None:
-            return known
+        if (number := self._known_attractor(line, i)) is not None:
+            return number
         mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
         return self._new(Attractor(*mode, self._cycle(line, i), np.empty(0), line.end_state[i].copy()))
 

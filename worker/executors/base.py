@@ -67,7 +67,7 @@ class ClusterState:
         """`fault` with its known cause, for users who may see the service's addresses."""
         if (fault := self.fault) is None:
             return None
-        return "; ".join([fault, *([self.reason] if self.reason else []), *self.refused])
+        return "; ".join(filter(None, (fault, self.reason, *self.refused)))
 
 
 @dataclass(frozen=True)

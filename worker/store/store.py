@@ -181,16 +181,16 @@ def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) ->
     return tuple(span.start // size for span, size in zip(chunk.slices, outcome.chunks, strict=True))
 
 
-def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
-    """The keys of a chunk by array, in the order they are written."""
+def _keys_of(layout: Layout, chunk: HasSlices) -> list[str]:
+    """The keys of a chunk, in the order they are written."""
     coords = layout.coords(chunk.slices)
-    return {array.name: chunk_key(array.name, len(array.dims), coords) for array in layout.arrays}
+    return [chunk_key(array.name, len(array.dims), coords) for array in layout.arrays]
 
 
 def keys_of(layout: Layout, chunks: Iterable[HasSlices]) -> list[str]:
     """The keys of a store with these chunks, the root's metadata last."""
     metadata = [key for key in metadata_of(layout) if key != ROOT]
-    return [*metadata, *(key for chunk in chunks for key in _keys_of(layout, chunk).values()), ROOT]
+    return [*metadata, *(key for chunk in chunks for key in _keys_of(layout, chunk)), ROOT]
 
 
 def restore(url: str, contents: Mapping[str, bytes], layout: Layout) -> None:
@@ -202,7 +202,7 @@ def restore(url: str, contents: Mapping[str, bytes], layout: Layout) -> None:
 
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
     """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
-    for key in reversed(_keys_of(layout, chunk).values()):
+    for key in reversed(_keys_of(layout, chunk)):
         backend.delete(url, key)
 
 
