@@ -62,7 +62,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         try:
             with ExitStack() as stack:
                 ledger = stack.enter_context(open_ledger(settings))
-                shutil.rmtree(settings.exports_path, ignore_errors=True)  # what a killed service left
+                shutil.rmtree(settings.exports_path, ignore_errors=True)  # left by a killed service
                 service = _service(settings, ledger, executor, background or InThisProcess(), metrics)
                 app.state.service = service
                 service.manager.start()

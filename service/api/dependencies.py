@@ -45,7 +45,7 @@ class Service:
     metrics: Metrics
 
     def audit_of(self, job: JobRecord) -> str | None:
-        """What the last audit of the job says."""
+        """The sentence of the job's last audit; None without one."""
         with self.ledger.reading() as ledger:
             return ledger.sentence(job, "audit")
 

@@ -68,7 +68,7 @@ class Progress:
 
 
 class Estimate(NamedTuple):
-    """What a sweep would cost."""
+    """The estimated cost of a sweep."""
 
     cells: int
     chunks: int

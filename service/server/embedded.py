@@ -275,7 +275,7 @@ def _create(name: str) -> Any:
 
 
 def _warm_answers(background: Processes) -> None:
-    """Import what answers need, and start the first process for them, before the first request."""
+    """Import the modules for answers, and start their first process, before the first request."""
     registry.warm()
     with suppress(NotComputed):  # the service was stopped meanwhile
         background.run(registry.warm)

@@ -1,6 +1,6 @@
-"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring.
+"""GET /v1/jobs/{job_id}/NAME for results of a job, GET /v1/NAME for results of a spring.
 
-And one cell in motion, whose specification is a body: POST /v1/trajectories.
+Also POST /v1/trajectories, the motion of a cell, and POST /v1/plans.
 """
 
 import threading
