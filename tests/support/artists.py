@@ -1,4 +1,4 @@
-"""What a matplotlib figure draws, read back from its artists."""
+"""The content of a matplotlib figure, read back from its artists."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ _POSITION = re.compile(rf"-?\d+\.\d{{{DIGITS}}}")
 
 
 def read_back(figure: FigureBase) -> list[str]:
-    """A line of text for each artist that can be seen: its kind, what it shows, and where.
+    """A line of text for each visible artist: its kind, its content, and its position.
 
     Positions are in widths and heights of the figure: the corners of a text; for a line, a patch or a
     collection the number of points, the ranges of x and y, their means, and a mean weighted by the order of

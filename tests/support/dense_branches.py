@@ -21,7 +21,7 @@ class Found(NamedTuple):
 
 
 def _generators(omega: float, xi: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of flight and contact (7, 7), and the matrix of a landing."""
+    """The generators (7, 7) of flight and contact, and the matrix of a landing."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     flight, contact = np.zeros((7, 7)), np.zeros((7, 7))
     for m in (flight, contact):

@@ -154,7 +154,7 @@ class Session:
             self._run_in(self._python, block, '["{script}", "{log}", "{location}"]')
 
     def output(self) -> str:
-        """What the last block printed."""
+        """The output of the last block."""
         return self._log.read_text() if self._log else ""
 
     def file(self, name: str) -> Path:

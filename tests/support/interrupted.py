@@ -1,4 +1,4 @@
-"""A command on a terminal of its own, ended by Ctrl-C: how it ended, how soon, and what it left behind."""
+"""A command on a terminal of its own, ended by Ctrl-C: how it ended, how soon, and its leftovers."""
 
 import fcntl
 import os
@@ -35,7 +35,7 @@ class Ended(NamedTuple):
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong: code, time, lines of the output, things left behind."""
+        """The faults: code, time, lines of the output, leftovers."""
         # Before Python has started, the signal itself ends it; a shell says 128 + the signal of that, too.
         faults = [f"exit code {self.code}"] if self.code not in (128 + self.number, -self.number) else []
         faults += [f"{self.seconds:.1f} s"] if self.seconds > 2.0 else []
@@ -70,7 +70,7 @@ class Command:
 
     @property
     def output(self) -> str:
-        """What it has written so far."""
+        """The output so far."""
         return self._output.decode(errors="replace")
 
     def wait_for(self, condition: Callable[["Command"], bool], seconds: float = 240.0) -> None:

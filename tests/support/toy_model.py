@@ -1,6 +1,6 @@
-"""A contact model that nobody needs: what a new one has to bring. The spring never leaves the plate.
+"""A toy contact model with all parts of a new one. The spring never leaves the plate.
 
-Its module (this one) with the functions a kernel needs, its fields, and its row of the table.
+The parts: its module (this one) with the functions of a kernel, its fields, and its row of the table.
 """
 
 from typing import Any, Literal, NamedTuple
