@@ -36,6 +36,9 @@ MAX_DROPS: Final = 1024
 UNTIL: Final = 10
 
 
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
+
+
 class Plane(Strict):
     """A plane of starts; the protocol's `kind` selects the study.
 
@@ -49,8 +52,8 @@ class Plane(Strict):
 
     kind: str
     plane: Literal["drop", "contact"] = "drop"
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
+    rows: Side
+    columns: Side
     height: Annotated[
         float,
         Field(gt=0.0, le=MAX_HEIGHT, description="The largest of the starts, in plate amplitudes."),
@@ -86,8 +89,8 @@ class Basin(Plane):
     MAX_STARTS: ClassVar = MAX_STARTS
 
     kind: Literal["basin"]
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+    rows: Side = 128
+    columns: Side = 128
 
 
 class Multistability(Plane):
@@ -97,8 +100,8 @@ class Multistability(Plane):
 
     kind: Literal["multistability"]
     plane: Literal["drop"] = "drop"
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 4
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 6
+    rows: Side = 4
+    columns: Side = 6
 
 
 class GridSpec(Specification):
