@@ -1,9 +1,9 @@
-"""The bouncing spring in one import: what runs here, what asks a service, and the parts of a specification.
+"""The bouncing spring in one import: functions that run here, the client, and the parts of a specification.
 
     from bouncing_spring import Client, run, thresholds
 
-The names of `service.client` are here too, with the classes that describe a sweep and its errors. Importing
-this module loads no numerical library.
+Has all names of `service.client`, with the classes of a sweep and its errors. Importing this module loads no
+numerical library.
 """
 
 from importlib import import_module
@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-#: The project's packages, whose plain names others may use too.
+#: The project's packages. Other projects may have packages of the same names.
 _PACKAGES: Final = ("kernel", "service", "worker")
 
 

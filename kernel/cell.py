@@ -18,11 +18,11 @@ from kernel.params import BUDGET, Line, Outcome, periods_followed
 
 SHORTEST_FLIGHT: Final = 1e-9  # rad; shorter flights, often rounding after long contacts, are not recorded
 MODE_FLIGHTS: Final = 256  # considered for the mode, even if fewer are stored: cycles of up to 85 bounces
-MODE_PERIODS: Final = 24  # more are considered where these reach back fewer plate periods
-KEPT_FLIGHTS: Final = 4096  # as many of them are kept; a landing at e = 0.95 is followed by 400 hops
-FEWEST_PERIODS: Final = 3  # flights that reach back fewer, those before being lost, decide nothing
+MODE_PERIODS: Final = 24  # plate periods; more flights are considered if MODE_FLIGHTS reach back less
+KEPT_FLIGHTS: Final = 4096  # most that are considered; a landing at e = 0.95 is followed by 400 hops
+FEWEST_PERIODS: Final = 3  # plate periods; kept flights that reach back less decide nothing
 QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
-CACHE_SIZE: Final = 64  # numbers that a model may use to cache what it knows of a cell (`interface.replay`)
+CACHE_SIZE: Final = 64  # numbers in the cache of a model for a cell (`interface.replay`)
 
 _, PERIODIC, APERIODIC, AT_REST, UNRESOLVED, DIVERGED, SETTLING = map(int, Outcome)
 
@@ -35,7 +35,7 @@ class Window(NamedTuple):
     settle: int  # plate periods discarded
     observe: int  # plate periods recorded
     micro_flight: float  # rad; shorter flights do not count for the mode, unless all are
-    settle_until: int  # plate periods that a cell still settling may take in all; 0: no more than the window
+    settle_until: int  # most plate periods of a cell that still settles; 0: those of the window
     certify: bool  # whether only certified cycles are periodic, and end the cell
 
 
@@ -53,8 +53,8 @@ class Progress(NamedTuple):
     flew: bool  # whether a flight was under way in the window
     budget: int  # evaluations left
     ending: int  # first_root.ROOT while running, HORIZON once the window's end is reached
-    settle: int  # plate periods before the window: window.settle, and more once it has been moved
-    end: int  # plate periods to where the run ends: the window's end, and later once `follow` has moved it
+    settle: int  # plate periods before the window: window.settle until the window is moved
+    end: int  # plate periods to the end of the run: the window's end until `follow` moves it
 
 
 #: Numbers that `store_run` writes.
@@ -110,7 +110,7 @@ def changed(
     recorded: int | None = None, opened: int | None = None, flew: bool | None = None,
     budget: int | None = None, ending: int | None = None, settle: int | None = None, end: int | None = None,
 ) -> Progress:  # fmt: skip
-    """`run` with the fields that are given: numba does not compile `run._replace`."""
+    """`run` with these fields replaced: numba does not compile `run._replace`."""
     return Progress(
         phase=run.phase if phase is None else phase,
         period=run.period if period is None else period,
@@ -185,7 +185,7 @@ def follow(before: Progress, window: Window) -> Progress:
 
 @jit
 def decide(outcome: int, followed: Progress, flights: Flights, first: int, window: Window) -> int:
-    """The outcome of a cell without a mode, `outcome` by its window, after the run that followed it."""
+    """The outcome of a cell without a mode: `outcome` is by its window, `followed` the run beyond that."""
     decided = classify(followed, flights, first, window)[0]
     if decided in (PERIODIC, SETTLING):
         return SETTLING
@@ -194,10 +194,10 @@ def decide(outcome: int, followed: Progress, flights: Flights, first: int, windo
 
 @jit
 def go_on(before: Progress, run: Progress, outcome: int, window: Window) -> Progress:
-    """`run`, which has ended without a certificate; if its cell settles, `before` that phase, to end later.
+    """The run after `run`, which has ended without a certificate; `run` itself unless its cell settles.
 
-    First as late as `follow` says, if that makes a window, then after window.settle_until plate periods, if
-    that is set.
+    It goes on from `before`, the run before the last phase: first to the end of `follow`, if that leaves room
+    for a window, then to window.settle_until plate periods, if that is set.
     """
     end, added = window.settle_until, periods_followed(window.observe)
     if run.end == window.settle + window.observe and added >= window.observe:
@@ -212,9 +212,9 @@ def go_on(before: Progress, run: Progress, outcome: int, window: Window) -> Prog
 
 @jit
 def extend(run: Progress, outcome: int, window: Window) -> Progress:
-    """`run`, which has ended, made to go on if its cell still settles and window.settle_until permits.
+    """The run after `run`, which has ended; `run` itself unless its cell settles and settle_until permits.
 
-    The periods in all are doubled, up to window.settle_until; the window moves to their end. It begins where
+    Doubles the plate periods, up to window.settle_until, and moves the window to their end. It begins where
     the old one ended or later, so that no flight is in both.
     """
     added = min(run.end, window.settle_until - run.end)
@@ -284,7 +284,7 @@ def classify(run: Progress, flights: Flights, first: int, window: Window) -> tup
 
 @jit
 def _considered(run: Progress, flights: Flights, first: int) -> tuple[int, bool]:
-    """How many of the last flights are considered for the mode, and whether too many before them are lost."""
+    """Number of last flights considered for the mode, and whether earlier ones are lost that are needed."""
     recorded = run.recorded - run.opened
     kept = min(recorded, flights.size)
     number = min(recorded, max(flights.stored, MODE_FLIGHTS))
@@ -327,7 +327,7 @@ def _counted(
 
 
 def allocate_flights(keep: int, lanes: int) -> Flights:
-    """Ring buffers for `lanes` cells at a time, of which `keep` flights are stored."""
+    """Ring buffers for `lanes` cells at a time; `keep`: flights stored of each cell."""
     size = max(1 << (keep - 1).bit_length(), KEPT_FLIGHTS)
     n = lanes * size
     return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
@@ -344,6 +344,6 @@ def write_record(line: Line, i: int, run: Progress, flights: Flights, first: int
     for k in range(kept):
         j = slot(flights, first, run.recorded - kept + k)
         line.flight_time[i, k], line.takeoff_phase[i, k] = flights.time[j], flights.phase[j]
-    for k in range(kept, keep):  # of an earlier window of this cell
+    for k in range(kept, keep):  # may hold flights of an earlier window of this cell
         line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
     store_state(run, line.end_state[i])

@@ -3,9 +3,8 @@
 A *candidate* is a number of flights after which the last flights repeat within NEAR. From a *section* of the
 trajectory, in the middle of a contact or flight, Newton's method solves y = P(y), P being the map over the
 candidate's plate periods. Its derivative M is carried along exactly (`interface.carry_in_contact` and kin).
-The cycle found is accepted if its leading multiplier is below one and the map surely contracts at the
-trajectory's own distance from it; until then the trajectory goes on. All this depends on a cell's flights
-only.
+The cycle is accepted if its leading multiplier is below one and the map surely contracts at the trajectory's
+distance from it; otherwise the trajectory goes on. All this depends on a cell's flights only.
 """
 
 import math
@@ -33,34 +32,34 @@ from kernel.numerics.matrices import (
 )
 from kernel.params import BUDGET, Line
 
-EVERY: Final = 4  # flights that count, after which cycles of up to SHORT flights are looked for, ...
+EVERY: Final = 4  # counting flights between two searches for cycles of up to SHORT flights, ...
 RARELY: Final = 32  # ... and of up to LONGEST
 SHORT: Final = 24
 LONGEST: Final = 85
 SEARCHED: Final = 256  # flights kept for the search, a power of two of at least 3 * LONGEST
-ALONE: Final = 24  # plate periods without a flight that counts after which all others count
+ALONE: Final = 24  # plate periods without a counting flight after which all flights count
 
 NEAR: Final = 1e-3  # rad within which flights of a candidate repeat; the result does not depend on it
 LEFT: Final = 10.0 * NEAR  # rad beyond which the trajectory has left a candidate that failed
 NEARER: Final = 0.3  # part of the difference at a failure, at which a candidate is tried again
-BETTER: Final = 0.1  # part of a divisor's difference that a candidate's own must be below
-ROUNDING: Final = 1e-13  # rad by which differences may grow; and of states, relative
+BETTER: Final = 0.1  # a candidate's difference must be below this part of any divisor's
+ROUNDING: Final = 1e-13  # rad by which differences may grow; relative error of states
 
 SOLVED: Final = 1e-11  # the last step of Newton's method, relative to the state
-STEPS: Final = 8  # of it at most
+STEPS: Final = 8  # most steps of Newton's method
 SAME: Final = 1e-8  # rad within which flights of a cycle repeat
 FAR: Final = 2**40  # plate periods: no end
 
 MARGIN: Final = 1e-6  # of the leading multiplier from one
 DEFECT: Final = 0.5  # of the map from its linear part, over the contraction that there must be
-#: What flights are off by rounding, rad, where a relative change of the section's state changes them by up to
-#: GROWTH times as much; where by more, as beside grazes and in long cycles, in proportion. SHIFT: the change.
+#: Rounding error of flights, rad, if a relative change of the section's state changes them by up to GROWTH
+#: times as much; beside grazes and in long cycles it is larger in proportion. SHIFT: the change.
 FLOOR: Final = 5e-13
 GROWTH: Final = 5.0
 SHIFT: Final = 1e-11
 
-#: What is counted of a lane: flights read, those that count, plate period of the last that is not too short;
-#: flights and plate periods of the candidate.
+#: The counts of a lane: flights read, flights that count, plate period of the last flight that is not too
+#: short; flights and plate periods of the candidate.
 READ, COUNTED, LONGER, BOUNCES, PERIODS = range(5)
 
 #: The ending of a run whose cell is certified, beside those of `first_root`.
@@ -68,11 +67,11 @@ CERTIFIED: Final = 4
 
 
 class Attempt(NamedTuple):
-    """Room for an attempt."""
+    """Arrays for an attempt."""
 
     cycle: Flights  # two turns of it
     vectors: Any  # (4, 4) the variations of a turn
-    none: Any  # (0, 4) where none are carried along
+    none: Any  # (0, 4) no variations
     y: Any  # (4,) the cycle's state at the section
     first: Any  # (4,) where the trajectory is after a turn
     step: Any  # (4,) of Newton's method
@@ -81,7 +80,7 @@ class Attempt(NamedTuple):
 
 
 class Search(NamedTuple):
-    """Where the cells in some lanes are searched for cycles."""
+    """The state of the search for cycles of the cells in some lanes."""
 
     time: Any  # (lanes * SEARCHED,) the flights that count, in ring buffers as `modes.Flights`
     phase: Any
@@ -112,9 +111,9 @@ def begin_search(search: Search, k: int) -> None:
 def certified(
     cell: Any, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights, search: Search
 ) -> Progress:
-    """`run`, in lane k, where it has a candidate; if certified, on the cycle, with the ending CERTIFIED.
+    """The run in lane k, which has a candidate; if certified, on the cycle, with the ending CERTIFIED.
 
-    Then the record of the i-th cell is written.
+    Then writes the record of the i-th cell.
     """
     periods, attempt = search.counts[k, PERIODS], search.attempt
     begins, start = _section(cell, run, k, periods, window, flights, attempt)
@@ -141,7 +140,7 @@ def has_candidate(run: Progress, k: int, window: Window, flights: Flights, searc
 
 @jit
 def _read(run: Progress, k: int, window: Window, flights: Flights, search: Search) -> bool:
-    """Read the flights recorded since; whether it is time to look for a candidate."""
+    """Read the flights recorded since the last call; whether it is time to look for a candidate."""
     counts, due = search.counts[k], False
     for n in range(counts[READ], run.recorded):
         j = slot(flights, k * flights.size, n)
@@ -160,13 +159,13 @@ def _read(run: Progress, k: int, window: Window, flights: Flights, search: Searc
 
 @jit
 def _searched(k: int, n: int) -> int:
-    """Where the n-th flight of lane k that counts is."""
+    """Index of the n-th counting flight of lane k."""
     return k * SEARCHED + (n & (SEARCHED - 1))
 
 
 @jit
 def _candidate(k: int, search: Search) -> tuple[int, int, float]:
-    """Flights and plate periods of the shortest cycle to try, and how far it repeats, rad. 0: none."""
+    """Flights and plate periods of the shortest cycle to try, and its difference, rad; 0 without one."""
     n, failed = search.counts[k, COUNTED], search.failed[k]
     j, chosen, chosen_periods, difference = _searched(k, n - 1), 0, 0, 0.0
     for bounces in range(1, min(LONGEST if n % RARELY == 0 else SHORT, n // 3) + 1):
@@ -223,9 +222,9 @@ def _approaches(k: int, n: int, bounces: int, periods: int, last: float, search:
 def _section(
     cell: Any, run: Progress, k: int, periods: int, window: Window, flights: Flights, attempt: Attempt
 ) -> tuple[bool, Progress]:
-    """The run on to the middle of the next long contact or flight: at least half of the longest of a turn.
+    """Whether a long contact or flight begins within two turns, and the run in the middle of it.
 
-    Whether there is one within two turns comes first.
+    It is at least half as long as the longest of a turn.
     """
     least = 0.5 * _longest(run, k, periods, flights)
     run = changed(run, recorded=0, opened=0, budget=BUDGET * periods, settle=0, end=FAR)
@@ -428,9 +427,9 @@ def _recorded(cell: Any, run: Progress, left: float, periods: int, window: Windo
 
 @jit
 def _growth(cell: Any, start: Progress, periods: int, total: int, window: Window, attempt: Attempt) -> float:
-    """How much more than the section's state the flights of a turn, half of `total`, change relatively.
+    """Change of a turn's flights over a relative change of the section's state; rad.
 
-    inf if a flight begins or ends within rounding. Overwrites `attempt.y`.
+    total: flights of two turns. inf if a flight begins or ends within rounding. Overwrites `attempt.y`.
     """
     for j in range(4):
         attempt.y[j] *= 1.0 + SHIFT
@@ -451,7 +450,7 @@ def _repeats(cycle: Flights, total: int, flights: int, periods: int) -> float:
 
 @jit
 def _parts(cycle: Flights, total: int, periods: int, same: float) -> int:
-    """How many cycles a turn of `periods` plate periods, half of `total` flights, consists of."""
+    """Number of cycles in a turn of `periods` plate periods, which has half of `total` flights."""
     for parts in range(periods, 1, -1):
         flights = total // (2 * parts)
         whole = periods % parts == 0 and total % (2 * parts) == 0
@@ -501,7 +500,7 @@ def _write_flights(
     keep = line.flight_time.shape[1]
     kept = min(number, keep)
     line.flights[i] = number
-    for k in range(kept, keep):  # of a window before
+    for k in range(kept, keep):  # may hold flights of an earlier window
         line.flight_time[i, k] = line.takeoff_phase[i, k] = math.nan
     turns, n = latest, total - 1
     while kept > 0:
@@ -515,7 +514,7 @@ def _write_flights(
 
 @jit
 def _last_before(cycle: Flights, n: int, periods: int, end: int) -> int:
-    """Turns after which the n-th flight of a cycle lands last before the plate period `end`."""
+    """Number of turns after which the n-th flight of a cycle lands for the last time before period `end`."""
     landing = cycle.period[n] + math.floor((cycle.phase[n] + cycle.time[n]) * (1.0 / TWO_PI))
     last: int = (end - 1 - landing) // periods
     return last

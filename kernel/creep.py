@@ -1,4 +1,4 @@
-"""What is no cycle: a motion carried on in steps of Gamma, and the rotation number of a torus."""
+"""Motions that are not cycles: how far down in Gamma they bounce, and the rotation numbers of tori."""
 
 from typing import Any, Final, NamedTuple
 
@@ -15,17 +15,17 @@ from kernel.params import Cell, Line, Outcome, Start
 _FIRST, _LARGEST, _SMALLEST = 1e-3, 4e-3, 1e-6
 #: Plate periods after each step, and after one smaller than this, relative.
 _STAY, _FINE_STAY, _FINE = 3_000, 20_000, 1e-4
-#: Copies of a motion that are carried on, their spread, relative, and steps at most.
+#: Copies of a motion, their relative spread, and most steps.
 _COPIES, _SPREAD, _STEPS = 16, 1e-5, 150
-#: Plate periods that a copy must outlive at the end, or all of them are transients.
+#: Plate periods that a copy must outlive at the end; otherwise all are transients.
 _LONG: Final = 200_000
-#: A cycle of more plate periods is carried on as other motions are.
+#: Longest cycle, in plate periods, that ends the steps; longer ones are carried on as other motions.
 LONGEST: Final = 24
 
-#: Rounds of a torus, plate periods of the cycles that it may lie around, and states beside which these are.
+#: Rounds of a torus, most plate periods of the cycle inside it, and states from which the cycle is sought.
 _ROUNDS, _AROUND, _GUESSES = 6_000, 8, 16
-#: A rotation number that is known less well, by itself or relative, is none.
-_KNOWN, _PART = 1e-4, 0.1
+#: Largest error of a rotation number: absolute, and relative.
+_ERROR, _RELATIVE_ERROR = 1e-4, 0.1
 
 
 class Crept(NamedTuple):
@@ -37,15 +37,15 @@ class Crept(NamedTuple):
 
     @property
     def periods(self) -> int:
-        """Plate periods of the cycle that all copies have settled to; 0: of none."""
+        """Plate periods of the cycle that all copies have settled to; 0 without one."""
         modes = set(zip(self.line.bounces.tolist(), self.line.periods.tolist(), strict=True))
         return modes.pop()[1] if len(modes) == 1 else 0
 
 
 class Rotation(NamedTuple):
-    """How far a torus turns around a cycle in each round, in turns, in [0, 1/2]."""
+    """The rotation of a torus around a cycle."""
 
-    number: float
+    number: float  # turns in each round, in [0, 1/2]
     error: float
     around: Point
 
@@ -53,7 +53,7 @@ class Rotation(NamedTuple):
 def run(
     plate: Any, gamma: Floats, omega: float, xi: float, states: Floats, settle: int, observe: int
 ) -> Line:
-    """Cells of a spring from states of their own (n, 6)."""
+    """The record of n cells of one spring: gamma (n,), each from its row of `states` (n, 6)."""
     one = np.ones(len(gamma))
     return run_line(
         gamma, omega * one, xi * one, plate=_cells(plate, len(gamma)), carry=False, states=states,
@@ -62,23 +62,23 @@ def run(
 
 
 def _cells(plate: Any, count: int) -> Any:
-    """The plate of one cell under `count`."""
+    """The plate of one cell, repeated for `count` cells."""
     arrays = {name: x for name, x in plate._asdict().items() if isinstance(x, np.ndarray)}
     return plate._replace(**{name: np.repeat(x, count) for name, x in arrays.items()})
 
 
 def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Crept | None:
-    """Carry a motion from a state (6,) down as far as it bounces on; None if it does not at `cell`.
+    """Carry a motion from a state (6,) at `cell` down in Gamma as far as it bounces; None if it does not.
 
-    Each step is halved until a copy of the motion survives it: a large one may end what smaller ones keep.
-    Ends early where it has become a cycle of at most LONGEST plate periods. Of the steps the last is taken
-    that a copy outlives for long.
+    Each step is halved until a copy of the motion survives it: a large step may end a motion that smaller
+    ones keep. The steps end at a cycle of at most LONGEST plate periods. Otherwise returns the last step
+    after which a copy bounces for long.
     """
-    at, states, step, gone = cell, state[None], _FIRST, 0.0
+    lowest, states, step, gone = cell, state[None], _FIRST, 0.0
 
     def carried(gamma: float, stay: int) -> Line | None:
         copies = np.resize(states, (_COPIES, state.size))
-        copies[:, 2:] *= at.gamma / gamma * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
+        copies[:, 2:] *= lowest.gamma / gamma * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
         return _bouncing(plate, cell._replace(gamma=gamma), copies, stay)
 
     line = carried(cell.gamma, _STAY)
@@ -86,11 +86,11 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
         return None
     steps = [Crept(cell, line, 0.0)]
     for _ in range(_STEPS):
-        states, gamma = line.end_state, at.gamma * (1.0 - step)
+        states, gamma = line.end_state, lowest.gamma * (1.0 - step)
         lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY)
         if lower is not None:
-            at, line, gone = at._replace(gamma=gamma), lower, gone if gamma > gone else 0.0
-            steps.append(Crept(at, line, gone))
+            lowest, line, gone = lowest._replace(gamma=gamma), lower, gone if gamma > gone else 0.0
+            steps.append(Crept(lowest, line, gone))
             if gone == 0.0:
                 step = min(1.5 * step, _LARGEST)
                 if 0 < steps[-1].periods <= LONGEST:
@@ -103,31 +103,31 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
 
 
 def _bouncing(plate: Any, cell: Cell, states: Floats, settle: int) -> Line | None:
-    """The copies that still bounce; None: none."""
+    """The copies that still bounce after `settle` plate periods; None if all are at rest."""
     line = run(plate, np.full(len(states), cell.gamma), cell.omega, cell.xi, states, settle, 100)
-    left = line.outcome != Outcome.AT_REST
-    return Line(*(x[left] for x in line)) if left.any() else None
+    bounces = line.outcome != Outcome.AT_REST
+    return Line(*(x[bounces] for x in line)) if bounces.any() else None
 
 
 def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
-    """The last step of which a copy bounces for long, found by bisection; `gone` is below the last of all."""
-    good, bad, found = -1, len(steps), None
+    """The last step after which a copy bounces for long, by bisection. `gone`: that of the last step."""
+    good, bad, lasting = -1, len(steps), None
     i = bad - 1
     while bad - good > 1:
         line = _bouncing(plate, steps[i].cell, steps[i].line.end_state, _LONG)
         if line is None:
             bad, gone = i, steps[i].cell.gamma
         else:
-            good, found = i, Crept(steps[i].cell, line, gone)
+            good, lasting = i, Crept(steps[i].cell, line, gone)
         i = (good + bad) // 2
-    return found
+    return lasting
 
 
 def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
-    """How a motion that has settled to a state (6,) at phase 0 turns around an unstable cycle; None: not.
+    """The rotation of a settled motion, in a state (6,) at phase 0, around an unstable cycle; None if none.
 
-    By a weighted mean of the turns, whose error is the change from half as many. Newton's method begins at
-    the motion's mean state, and at some of its states.
+    The number is a weighted mean of the turns; its error is the change from half as many. Newton's method
+    seeks the cycle from the motion's mean state and from some of its states.
     """
     for periods in range(1, _AROUND + 1):
         states = _strobed(plate, cell, state, periods, _ROUNDS)
@@ -141,13 +141,13 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
             turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
             number, half = _mean(turns), _mean(turns[: len(turns) // 2])
             number, error = abs(number - round(number)), abs(number - half)
-            if error < min(_KNOWN, _PART * number):  # 0: the cycle lies outside
+            if error < min(_ERROR, _RELATIVE_ERROR * number):  # number 0: the cycle lies outside
                 return Rotation(number, error, around)
     return None
 
 
 def _strobed(plate: Any, cell: Cell, state: Floats, periods: int, rounds: int) -> Floats:
-    """The states (rounds, 6) at plate phase 0, once in `periods`."""
+    """The states (rounds, 6) at plate phase 0, one in each `periods` plate periods."""
     one = np.ones(rounds)
     line = run_line(
         cell.gamma * one, cell.omega * one, cell.xi * one, plate=_cells(plate, rounds), carry=True,
@@ -157,6 +157,7 @@ def _strobed(plate: Any, cell: Cell, state: Floats, periods: int, rounds: int) -
 
 
 def _mean(turns: Floats) -> float:
+    """The mean of turns (n,), with a weight that vanishes smoothly at both ends."""
     t = (np.arange(len(turns)) + 0.5) / len(turns)
     weight = np.exp(-1.0 / (t * (1.0 - t)))
     return float(weight @ turns / weight.sum())

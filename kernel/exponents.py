@@ -5,8 +5,9 @@ lengths are summed with the weight (t (1 - t))**2, t being the part of the windo
 make the mean over a window of N periods of a quasi-periodic motion converge as N**-3 instead of N**-1, and
 that of a chaotic one as that over 0.7 N periods without them.
 
-Five parts of the window, each a third of it and half over the next, have such means too. Their scatter tells
-the error: in thirds most tori are told, and slow chaos; with fewer or shorter parts fewer are.
+Five parts of the window, each a third of it and overlapping the next by half, have such means too. Their
+scatter gives the error. Thirds distinguish most tori from slow chaos; fewer or shorter parts do so less
+often.
 """
 
 import math
@@ -23,11 +24,11 @@ from kernel.params import KernelInputError
 from kernel.portable_math import log
 
 #: A variation is lost if less than this part of it is independent of those before it. Rounding leaves about
-#: 1e-16 of a direction that an event removes; what is left of one at 1e-12 still has four digits.
+#: 1e-16 of a direction that an event removes; a rest of 1e-12 still has four digits.
 LOST: Final = 1e-12
 
-ALIGN: Final = 1.5  # windows for which variations turn to the directions that they grow in; 1 is not enough
-PARTS: Final = 5  # overlapping thirds of the window, whose means tell the first exponent's error
+ALIGN: Final = 1.5  # windows in which variations turn to the directions of growth; 1 is not enough
+PARTS: Final = 5  # overlapping thirds of the window, whose means give the first exponent's error
 SHORTEST: Final = 40  # plate periods; the parts of a shorter window would be correlated
 #: The variance of the means of parts expected over that of the window's. Neighbours correlate by 0.2.
 SPREAD: Final = 3.0 * (1.0 - 2.0 / PARTS * 0.201)
@@ -154,7 +155,7 @@ def _orthonormalise(variations: Variations, t: float) -> None:
 
 @inlined
 def _weight(t: float) -> float:
-    """The weight of what happens when the part `t` of a window has passed; 0 outside it."""
+    """The weight after the part `t` of a window; 0 outside the window."""
     return (t * (1.0 - t)) ** 2 if 0.0 < t < 1.0 else 0.0
 
 
@@ -172,13 +173,13 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
     done = 0.0
     for turn in range(1, turns + 2):
-        at = TWO_PI * turn - run.phase if turn <= turns else p.tau
-        if at > done:
+        end = TWO_PI * turn - run.phase if turn <= turns else p.tau
+        if end > done:
             if run.in_flight:
-                interface.carry_in_flight(cell, vectors, at - done)
+                interface.carry_in_flight(cell, vectors, end - done)
             else:
-                interface.carry_in_contact(cell, vectors, at - done)
-            done = at
+                interface.carry_in_contact(cell, vectors, end - done)
+            done = end
         if turn <= turns:
             _orthonormalise(variations, (run.period + turn - run.settle - 0.5) / window.observe)
     if p.ending == ROOT:
@@ -207,10 +208,10 @@ def write_exponents(lyapunov: Any, ending: int, variations: Variations) -> None:
 
 @jit
 def exponent_error(ending: int, variations: Variations, observe: int) -> float:
-    """The standard error of a cell's first exponent, by means over parts; NaN where it has none.
+    """The standard error of a cell's first exponent, from its means over PARTS; NaN where it has none.
 
-    The parts have the window's weights. So over a torus it falls as fast as the error does, and over chaos it
-    is what the means scatter by, less as they are shorter. A direction that was lost has no error.
+    The parts have the window's weights, so that the estimate falls as fast as the error does, on a torus and
+    in chaos. A lost direction has no error.
     """
     if ending != HORIZON or observe < SHORTEST or math.isinf(variations.sums[0]):
         return math.nan

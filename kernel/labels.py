@@ -1,4 +1,4 @@
-"""What Lyapunov exponents tell of a cell: quasi-periodic, chaotic, or on an unstable cycle.
+"""Labels of cells by their Lyapunov exponents: quasi-periodic, chaotic, or on an unstable cycle.
 
 Needs no numba, as `kernel.params`.
 """
@@ -20,11 +20,12 @@ UNSTABLE: Final = LABELS.index("unstable")
 def label_codes(outcome: Any, lyapunov: Any, error: Any, observe: int) -> NDArray[np.uint8]:
     """The code in LABELS of cells (...), from their outcomes (...) and exponents (..., n >= 1).
 
-    error: (...) the standard error of lambda_1. An aperiodic cell is quasi-periodic where |lambda_1| and
-    twice its error are within the window's resolution, and chaotic where lambda_1 is above both. Otherwise it
-    stays aperiodic: the window does not tell, or it approaches a cycle that is not found. A periodic cell is
-    unstable where lambda_1 is above the resolution: rounding holds it there. Others stay as they are. Below
-    the resolution, 1/observe per plate period, variations grow by less than a factor e over the window.
+    error: (...) the standard error of lambda_1. The window's resolution is 1/observe per plate period, at
+    which variations grow by a factor e over the window. An aperiodic cell is quasi-periodic if |lambda_1| and
+    twice its error are within the resolution, and chaotic if lambda_1 is above both. Otherwise it stays
+    aperiodic: the window does not decide, or the cell approaches a cycle that is not found. A periodic cell
+    is unstable if lambda_1 is above the resolution: rounding holds it on its cycle. Other cells keep their
+    outcome.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]

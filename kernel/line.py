@@ -1,9 +1,9 @@
 """A line of cells, from arrays of parameters to arrays of records: the entry to the kernels.
 
-Under the protocol `rest` every cell starts from rest at its own parameters, in a basin from a state of its
-own. A ramp carries the state over from cell to cell: the physical motion is kept, and since A is proportional
-to Gamma/Omega**2, lengths in plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2 and
-velocities by (Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
+Under the protocol `rest` every cell starts from rest, in a basin from its own state. A ramp carries the state
+from cell to cell. The physical motion stays the same, and A is proportional to Gamma/Omega**2: so lengths in
+plate amplitudes scale by (Gamma_old/Gamma_new)(Omega_new/Omega_old)**2, and velocities by
+(Gamma_old/Gamma_new)(Omega_new/Omega_old) (docs/model.md, section 4).
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,15 +53,15 @@ _ALL: Final = 2**62
 
 
 class Lanes(NamedTuple):
-    """Where lines are that are under way: as many cells at a time as there are lanes, LANES or one."""
+    """The lines under way, with a cell in each of LANES lanes, or in a single one."""
 
     table: Any  # (ROWS * LANES,) the phases, see `lanes`; None: each is computed by the scalar functions
     runs: Any  # (lanes, RUN_FIELDS) the cells' runs
     index: Any  # (lanes,) int64, the cell in each lane; -1: none
     counts: Any  # (2,) int64: lines put into a lane so far, cells done
     followed: Any  # (lanes,) bool, whether the cell is followed beyond its window
-    ends: Any  # (lanes, RUN_FIELDS) of cells that are, the run at the window's end
-    cache: Any  # (CACHE_SIZE,) the model's, of a cell without a table
+    ends: Any  # (lanes, RUN_FIELDS) the runs of followed cells at the window's end
+    cache: Any  # (CACHE_SIZE,) the model's cache of a cell, without a table
 
 
 def _allocate_lanes(lanes: int) -> Lanes:
@@ -91,7 +91,7 @@ def _searching(table: Any, k: int) -> bool:
 
 @inlined
 def _ended(table: Any, k: int, run: Progress) -> bool:
-    """Whether lane k holds the end of the run's phase. If not, the scalar functions compute it.
+    """Whether lane k holds the end of the run's phase; otherwise the scalar functions compute it.
 
     Counts of short flights, failed searches and contacts at their horizon may stay above their limit.
     """
@@ -104,7 +104,7 @@ def _ended(table: Any, k: int, run: Progress) -> bool:
 
 @inlined
 def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
-    """The run's next phase by the scalar functions; one of no length if it has ended."""
+    """The run's next phase by the scalar functions; a phase of length zero if the run has ended."""
     if run.ending != ROOT:
         return Phase(0.0, run.ending, run.in_flight, run.state, 0)
     return phase_of(spring, phi, run, cell.horizon_of(run))
@@ -115,9 +115,9 @@ def _after_window(
     before: Progress, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights,
     lanes: Lanes, variations: Variations | None,
 ) -> Progress:  # fmt: skip
-    """The run that follows `run`, which has ended after `before`: beyond its window, or in a later one.
+    """The run that follows `run`, which has ended after `before`: beyond its window, or in a later window.
 
-    Writes the window's record. Where nothing follows, the cell is done and the run returned has ended.
+    Writes the window's record. If no run follows, the cell is done and the returned run has ended.
     """
     first = k * flights.size
     lanes.cache[:] = 0.0
@@ -136,7 +136,7 @@ def _after_window(
             lyapunov.write_exponents(line.lyapunov[i], run.ending, variations)
             line.lyapunov_error[i] = lyapunov.exponent_error(run.ending, variations, window.observe)
         cell.write_record(line, i, run, flights, first, window)
-        if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to tell one from the other
+        if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to distinguish the two
             cell.store_run(run, lanes.ends[k])
             lanes.followed[k] = True
             return cell.follow(before, window)
@@ -265,20 +265,20 @@ def _first_states(
 class LineRun:
     """A line of cells under way: computed in parts, its state saved between them and restored elsewhere.
 
-    However it is divided, the numbers are the same.
+    The parts do not change the numbers.
 
     gamma, omega, xi: float64 (n,). plate: made by a model's `plate` function from its own arrays (n,); its
     type selects the model. With `carry` each cell continues from its predecessor's end, the first from
     `start` or from rest (None). A sequence of starts makes the cells as many lines of equal length, one after
     another, each from its own. Without `carry` every cell starts from rest, or from its row of `states`
     (n, 6), in its own units. settle, observe: plate periods discarded and recorded. keep: flights stored.
-    micro_flight: rad; shorter flights do not count for the mode, unless all are.
+    micro_flight: rad; shorter flights do not count for the mode, unless all are shorter.
     certify: whether a cell ends as soon as its cycle is certified, and is periodic only then; not with
     exponents, nor for a contact without variations.
-    settle_until: plate periods that a cell still settling may take in all; None: no more than the window. The
-    last `observe` of them are recorded. With `certify` they are first `params.periods_followed` more than the
-    window's, then all of them; without they are doubled as long as the cell settles.
-    exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell also where lanes could,
+    settle_until: most plate periods of a cell that still settles, of which the last `observe` are recorded;
+    None: those of the window. With `certify` a cell takes first `params.periods_followed` more than the
+    window, then all of them; without, their number is doubled as long as the cell settles.
+    exponents: Lyapunov exponents to compute. in_lanes: False computes cell by cell even where lanes could,
     for comparison; the last digits differ.
 
     A trajectory that fails is an outcome, not an exception. Raises KernelInputError for arguments outside
@@ -357,7 +357,7 @@ class LineRun:
 def run_line(
     gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64], **options: Any
 ) -> Line:
-    """Run n cells in the given order and return their record. Arguments and errors as of `LineRun`."""
+    """Run n cells in the given order and return their record. Arguments and errors as for `LineRun`."""
     run = LineRun(gamma, omega, xi, **options)
     run.advance()
     return run.line

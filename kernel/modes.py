@@ -1,4 +1,4 @@
-"""From the flights of a window to the mode (bounces, plate periods), or to whether they still settle.
+"""The mode (bounces, plate periods) of the flights of a window, or whether they still settle.
 
 The rules are those of docs/model.md, section 4; `benchmarks.settling` measures them.
 """
@@ -17,8 +17,8 @@ _, PERIODIC, APERIODIC, _, _, _, SETTLING = map(int, Outcome)
 
 REPEATS: Final = 1e-6  # rad within which flights agree: above the rest of settling, below all differences
 FALLS: Final = 0.01  # part by which a difference must fall to a shorter cycle's; less is rounding
-LAGS: Final = 24  # flights up to this many apart tell settling; 99 in 100 cycles have at most 24
-FEWEST: Final = 12  # flights from which settling can be told: three parts of three, for the largest lag
+LAGS: Final = 24  # settling is judged by flights up to this many apart; 99 in 100 cycles have at most 24
+FEWEST: Final = 12  # fewest flights to judge settling: three parts of three, for the largest lag
 
 #: Flights settle where their difference falls below NEAR (rad) and to less than APPROACH of itself from the
 #: first third of the flights to the last.
@@ -46,12 +46,12 @@ class Flights(NamedTuple):
     phase: Any  # float64, rad modulo 2 pi, at take-off
     period: Any  # int64, plate periods since the cell began, at take-off
     size: int  # a power of two
-    stored: int  # of which are stored with the cell
+    stored: int  # flights stored with the cell
 
 
 @inlined
 def slot(flights: Flights, first: int, n: int) -> int:
-    """Where the n-th flight of a lane is whose ring buffer begins at `first`."""
+    """Index of the n-th flight of a lane whose ring buffer begins at `first`."""
     return first + (n & (flights.size - 1))
 
 
@@ -89,7 +89,7 @@ def find_cycle(
 
 @jit
 def find_mode(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
-    """The mode (bounces, plate periods) of the flights, as of `find_cycle`: the limit of their cycle."""
+    """The mode (bounces, plate periods) of the flights: the limit of the cycle of `find_cycle`."""
     bounces, periods = find_cycle(flight_time, takeoff_phase, takeoff_period, REPEATS)
     if bounces > 0:
         limit = limit_cycle(flight_time, takeoff_phase, bounces)

@@ -29,7 +29,7 @@ BUDGET: Final = 20_000
 USUAL_EVALUATIONS: Final = 11
 
 #: A cell whose window shows no mode is followed for FOLLOW times its `observe`, at most MOST_FOLLOWED plate
-#: periods, before it is called aperiodic or settling: nothing but time tells chaotic transients.
+#: periods, before it is called aperiodic or settling: only time reveals a chaotic transient.
 FOLLOW: Final = 2
 MOST_FOLLOWED: Final = 200
 
@@ -88,7 +88,7 @@ SPRING_DIMENSION: Final = 4
 INELASTIC_DIMENSION: Final = 3
 BALL_DIMENSION: Final = 2
 
-#: Lyapunov exponents of a cell at most.
+#: Most Lyapunov exponents of a cell.
 MAX_EXPONENTS: Final = SPRING_DIMENSION
 
 

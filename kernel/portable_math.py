@@ -1,11 +1,11 @@
-"""log, exp, hypot, atan2 and others whose last digit is the same on every machine.
+"""log, exp, hypot, atan2 and other functions whose last digit is the same on every machine.
 
-The C library's and numpy's differ between versions, and on one library between processors with and without
-fused multiply-adds; a cell near a bifurcation makes another outcome of that. Here they are written with
+The functions of the C library and of numpy differ between versions, and between processors with and without
+fused multiply-adds; that can change the outcome of a cell near a bifurcation. Here they are written with
 +, -, *, / and square roots, each correctly rounded everywhere, and frexp and ldexp, which are exact. So
 plain Python, which the specification uses, and compiled code give the same bytes.
 
-Each function reduces its argument exactly, or carries what the reduction rounds off, and evaluates a
+Each function reduces its argument exactly, or carries the rounding error of the reduction, and evaluates a
 polynomial: a Chebyshev fit in 50-digit arithmetic, with an error below a hundredth of the rounding of the
 result. Results are within two units in the last place, most within one; the tests compare them with 50
 digits. Subnormal numbers, zeros, infinities and NaN are treated as in C. No numba here: compiled code uses
@@ -40,7 +40,7 @@ LN2_HIGH: Final = 0.6931471803691238
 LN2_LOW: Final = 1.9082149292705877e-10
 ONE_OVER_LN2: Final = 1.4426950408889634
 
-# Numbers rounded to double, and what the rounding leaves.
+# Numbers rounded to double, and the rest.
 _PI: Final = (3.141592653589793, 1.2246467991473532e-16)
 _HALF_PI: Final = (1.5707963267948966, 6.123233995736766e-17)
 _QUARTER_PI: Final = (0.7853981633974483, 3.061616997868383e-17)
@@ -175,11 +175,3 @@ def asinh(x: float) -> float:
     else:
         value = log1p(a + a * a / (1.0 + math.sqrt(1.0 + a * a)))
     return math.copysign(value, x)
-
-
-def atanh(x: float) -> float:
-    """The inverse hyperbolic tangent of |x| <= 1; infinite at +-1, NaN beyond."""
-    a = abs(x)
-    if a >= 1.0:
-        return math.copysign(math.inf, x) if a == 1.0 else math.nan
-    return math.copysign(0.5 * log1p(2.0 * (a + a * (a / (1.0 - a)))), x)

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from kernel.portable_math import asinh, atan2, exp, log, log1p
 
-#: The smallest restitution an impact is computed for, whose rebound is below the rounding of what follows. At
-#: e = 0 a nonadhesive contact has infinite damping, and an adhesive one never ends.
+#: The smallest restitution of an impact, whose rebound is below the rounding of the motion after it. At e = 0
+#: a nonadhesive contact has infinite damping, and an adhesive one never ends.
 SMALLEST: Final = 1e-12
 
 #: 1 - zeta**2 below this counts as zero in the slope of zeta * duration, whose quotient is 0/0 at zeta = 1;
@@ -95,7 +95,7 @@ def _restitution(zeta: float, adhesive: bool) -> float:
 
 
 def _each(formula: Callable[[float, bool], float], values: ArrayLike, adhesive: bool) -> _Array:
-    """The formula of every element, computed once for each distinct one: in a sweep most are the same."""
+    """The formula of every element, computed once for each distinct value: in a sweep most are equal."""
     array = np.asarray(values, dtype=np.float64)
     distinct, places = np.unique(array, return_inverse=True)
     computed = np.array([formula(float(value), adhesive) for value in distinct], dtype=np.float64)

@@ -1,9 +1,9 @@
-"""Where bouncing ends on the way down by search: at low damping no list of short cycles decides it.
+"""Where bouncing ends on the way down, by search: at low damping no list of short cycles decides it.
 
-First the branches beside those of the closed form are followed. Then many starts at many Gammas below their
-lowest end, or that at which rest ends. Transients pass by cycles, stable or not: from their states Newton's
-method finds these, and the branches through them, followed, lead to stable cycles that no start reaches. What
-survives long runs and is no cycle is carried down in small steps.
+First the branches beside those of the closed form are followed. Then many starts run at many Gammas below
+their lowest end, or below the Gamma at which rest ends. Transients pass by cycles, stable or not: from their
+states Newton's method finds the cycles, and the branches through them lead to stable cycles that no start
+reaches. Other motions that survive long runs are carried down in small steps.
 """
 
 import math
@@ -26,31 +26,32 @@ from kernel.cycles.thresholds import closed_form
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, Line, Outcome
 
-#: Gammas, from this far below where the last round found an end, relative, to this part of it.
+#: Number of Gammas in a round, and the first and last: relative distance from the lowest end, and part of it.
 _GAMMAS, _BELOW, _LOWEST = 30, 3e-4, 0.3
 _ROUNDS: Final = 4
-#: A cycle is read so far above a fold, relative.
+#: A cycle is read this far above a fold, relative.
 _ABOVE: Final = 1e-6
 #: Branches are followed down to this part of where rest ends.
 _DEEPEST: Final = 0.01
 
-#: Plate periods, one after another, after which states of transients are taken; for which what survives is
-#: followed, and of which all starts are.
+#: Plate periods of successive runs, after each of which states of transients are taken; those that survivors
+#: then run; and the longest of the former after which all starts still run on.
 _LOOKS, _FOLLOWED, _TRANSIENT = (5, 10, 20, 40, 80, 160), 5_000, 40
-#: Those that are followed longer, of each Gamma, and motions that are carried down.
+#: Starts that run on longer at each Gamma, and most motions that are carried down.
 _MOST, _CARRIED = 32, 12
 
-#: Newton's method begins at this part of all starts each time, for up to so many plate periods, where the
-#: equations of the cycle are off by more than rounding and by less than this.
+#: Newton's method begins at this part of all starts after each run, for cycles of up to this many plate
+#: periods, if the error of their equations is between these.
 _SEEDS, _PERIODS, _NEAR, _FAR = 0.1, 18, 1e-6, 0.5
 #: Points of a branch each way.
 _POINTS: Final = 300
-#: A rotation number this close to a fraction of so small a denominator is locked.
+#: A rotation number this close to a fraction with up to this denominator is locked.
 _EXACTLY, _LOCKED = 1e-10, 64
-#: A cycle next to which an event shows a stable one has no larger multiplier.
+#: Largest multiplier of a cycle at an event next to which a cycle is stable.
 _CRITICAL: Final = 1.001
 
-#: Cycles of the closed form beside which starts lie, how far, relative, and starts at each distance.
+#: Plate periods of the cycles in closed form beside which starts lie, their relative distances, and starts at
+#: each.
 _NEAR_PERIODS, _BESIDE, _OF_EACH = 3, (1e-3, 1e-2, 0.05), 8
 
 
@@ -60,26 +61,26 @@ class Searched(NamedTuple):
     gamma: float  # at which bouncing ends; NaN: nothing bounces below where rest ends
     what: str  # ends there
     starts: int  # at each Gamma
-    gone: float = math.nan  # the Gamma below it at which what was carried down no longer bounces
-    rotation: float = math.nan  # of a torus, in turns for each round of the cycle in it
+    gone: float = math.nan  # the Gamma below it at which a motion that was carried down no longer bounces
+    rotation: float = math.nan  # of a torus, in turns for each round of the cycle inside it
     rotation_error: float = math.nan
 
     @property
     def missed(self) -> float:
-        """A basin of this share of all starts would have been found with 95 % at a Gamma that has it."""
+        """The share of all starts of a basin that the starts at one Gamma find with a probability of 95 %."""
         return 1.0 - math.pow(0.05, 1.0 / self.starts)
 
 
 def starts_of(effort: float) -> int:
-    """The starts at each Gamma of an effort from 0 to 100: from 100 to 10,000."""
+    """Starts at each Gamma, from 100 to 10,000, for an effort from 0 to 100."""
     return round(100.0 * math.pow(10.0, effort / 50.0))
 
 
 def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0, seed: int = 0) -> Searched:
-    """The lowest Gamma at which something bounces.
+    """The lowest Gamma at which a spring bounces. plate: of one cell.
 
-    Starts lie below the lowest end that is known, where rest ends or a branch beside one of the closed form,
-    down to _LOWEST of it. plate: of one cell.
+    Starts lie between the lowest known end, where rest or a branch beside the closed form ends, and _LOWEST
+    of it.
     """
     return _Search(plate, omega, xi, starts_of(effort), seed).lowest()
 
@@ -97,12 +98,12 @@ class _Search:
 
     @property
     def bound(self) -> float:
-        """Below which an end is looked for."""
+        """The Gamma below which an end is sought."""
         return self.top if math.isnan(self.end.gamma) else self.end.gamma
 
     def lowest(self) -> Searched:
         """Search below the last end until nothing is found."""
-        for point in self._known():
+        for point in self._beside_closed_form():
             self._follow(point)
         for _ in range(_ROUNDS):
             bound = self.bound
@@ -111,18 +112,18 @@ class _Search:
                 break
         return self.end
 
-    def _known(self) -> Iterator[Point]:
-        """Cycles beside those of the closed form: stable ones, and those at folds, which may be few."""
+    def _beside_closed_form(self) -> Iterator[Point]:
+        """Cycles beside those of the closed form: stable ones, and those at folds."""
         for periods in range(1, _NEAR_PERIODS + 1):
             yield from seeds(self.plate, self.omega, self.xi, periods)
         folds = closed_form(self.omega, self.xi).minima
         yield from above(self.plate, self.omega, self.xi, folds, (_ABOVE,))
 
     def _look(self, values: Floats) -> None:
-        """Starts at these Gammas: cycles beside their transients, and what survives."""
+        """Run starts at these Gammas; follow cycles beside their transients, and the survivors."""
         states = [_starts(self.rng, Cell(float(x), self.omega, self.xi), self.starts) for x in values]
-        gamma, state = np.repeat(values, [len(each) for each in states]), np.concatenate(states)
-        found = []
+        gamma, state = np.repeat(values, list(map(len, states))), np.concatenate(states)
+        transients = []
         for settle in _LOOKS:
             line = run(self.plate, gamma, self.omega, self.xi, state, settle, 8)
             left = np.flatnonzero(line.outcome != Outcome.AT_REST)
@@ -132,10 +133,10 @@ class _Search:
                 break
             gamma, state = gamma[left], line.end_state[left]
             some = self.rng.permutation(len(gamma))[: round(_SEEDS * self.starts)]
-            found += list(zip(gamma[some].tolist(), state[some], strict=True))
+            transients += list(zip(gamma[some].tolist(), state[some], strict=True))
         else:
             line = run(self.plate, gamma, self.omega, self.xi, state, _FOLLOWED, 100)
-        for point in self._cycles(found):
+        for point in self._cycles(transients):
             self._follow(point)
         for i in _lowest_of_each(line, gamma):
             cell = Cell(float(gamma[i]), self.omega, self.xi)
@@ -179,14 +180,14 @@ class _Search:
             self._ends(descend(lowest))
 
     def _ends(self, end: Descent) -> None:
-        """An end of a stable cycle; what goes on beyond it is carried on."""
+        """Note the end of a stable cycle; carry a motion that bounces beyond it down."""
         if end.gamma < self.bound and (end.fold or end.reason):  # not at rest
             self.end = Searched(end.gamma, end.fold.name if end.fold else end.reason, self.starts)
             if end.last is not None:
                 self._down(Cell(*end.last.cell), 0, end.last.state)
 
     def _down(self, cell: Cell, periods: int, state: Floats) -> None:
-        """Follow what bounces at a cell down to its end: a stable cycle along its branch, others by steps."""
+        """Follow a motion down to its end: a stable cycle along its branch, others by steps."""
         while self.carried < _CARRIED:
             cycle = cycle_from(self.plate, cell, periods, state) if 0 < periods <= LONGEST else None
             if cycle is not None and cycle.stable:
@@ -204,13 +205,13 @@ class _Search:
             periods = crept.periods
 
     def _named(self, crept: Crept) -> Searched:
-        """The end of what was carried down."""
+        """The end of a motion that was carried down."""
         line = crept.line
-        turn = rotation(self.plate, crept.cell, line.end_state[0])
+        torus = rotation(self.plate, crept.cell, line.end_state[0])
         mode = f"({line.bounces[0]},{line.periods[0]})" if line.periods[0] else ""
         what, number, error = mode or "an aperiodic motion", math.nan, math.nan
-        if turn is not None:
-            what, number, error = f"a torus around {cycle_of(turn.around).name}", turn.number, turn.error
+        if torus is not None:
+            what, number, error = f"a torus around {cycle_of(torus.around).name}", torus.number, torus.error
             part = Fraction(number).limit_denominator(_LOCKED)
             locked = f"to {mode}" if mode else str(part) if abs(number - part) < _EXACTLY else ""
             what += f", locked {locked}" if locked else ""
@@ -218,7 +219,10 @@ class _Search:
 
 
 def _first(point: Point) -> int:
-    """The segment of a cycle from which its letters come first in order, the longest flight before it."""
+    """The segment at which a cycle begins: after a landing, with the letters first in order.
+
+    Of equal ones, the segment after the longest flight.
+    """
 
     def begins(j: int) -> tuple[str, float]:
         return point.letters[j:] + point.letters[:j], -point.times[j - 1]
@@ -227,7 +231,7 @@ def _first(point: Point) -> int:
 
 
 def _lowest_of_each(line: Line, gamma: Floats) -> list[int]:
-    """The survivor of lowest Gamma of each mode; aperiodic ones are one mode."""
+    """Indices of the survivors of lowest Gamma, one of each mode; aperiodic ones are one mode."""
     modes: dict[tuple[int, int], int] = {}
     left = np.flatnonzero(line.outcome != Outcome.AT_REST)
     for i in left[np.argsort(gamma[left], kind="stable")]:
@@ -236,7 +240,7 @@ def _lowest_of_each(line: Line, gamma: Floats) -> list[int]:
 
 
 def _starts(rng: np.random.Generator, cell: Cell, count: int) -> Floats:
-    """States (n, 6): `random_starts`, and beside the admissible cycles of the closed form."""
+    """States (n, 6): `random_starts`, and states beside the admissible cycles of the closed form."""
     rows = [random_starts(rng, cell.gamma, cell.omega, count)]
     for periods in range(1, _NEAR_PERIODS + 1):
         line = cycles_at(cell, periods)
@@ -244,8 +248,8 @@ def _starts(rng: np.random.Generator, cell: Cell, count: int) -> Floats:
             start = start_on_cycle(cell, periods, t)
             if start is not None:
                 beside = np.tile(start.start.state, (len(_BESIDE) * _OF_EACH, 1))
-                away = np.repeat(_BESIDE, _OF_EACH)[:, None]
-                beside[:, 2:] *= 1.0 + away * rng.normal(size=beside[:, 2:].shape)  # zero stays zero
+                distance = np.repeat(_BESIDE, _OF_EACH)[:, None]
+                beside[:, 2:] *= 1.0 + distance * rng.normal(size=beside[:, 2:].shape)  # zero stays zero
                 rows.append(beside)
     return np.concatenate(rows)
 

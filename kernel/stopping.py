@@ -14,7 +14,10 @@ _is_unwanted: ContextVar[Callable[[], bool]] = ContextVar("is_unwanted", default
 
 @contextmanager
 def stopped_if(is_unwanted: Callable[[], bool]) -> Iterator[None]:
-    """Within the block computations of this thread raise Stopped once `is_unwanted()`, asked very often."""
+    """Make computations of this thread within the block raise Stopped once `is_unwanted()`.
+
+    They call it very often.
+    """
     token = _is_unwanted.set(is_unwanted)
     try:
         yield

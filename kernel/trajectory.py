@@ -17,7 +17,7 @@ from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import BUDGET, Cell, KernelInputError, check_arrays
 
-MAX_PHASES: Final = 50_000  # contacts and flights computed at most, so that a call ends within seconds
+MAX_PHASES: Final = 50_000  # most contacts and flights that a call computes, so that it ends within seconds
 
 
 class Trajectory(NamedTuple):
@@ -44,14 +44,14 @@ class _Point(NamedTuple):
     state: State
 
     @property
-    def at(self) -> float:
+    def time(self) -> float:
         """The plate's phase with its whole periods, rad."""
         return TWO_PI * self.period + self.phase
 
     def until(self, spring: Any, time: float, budget: int) -> Phase:
-        """The contact or flight that begins here, cut off at this phase of the plate."""
+        """The contact or flight that begins here, cut off at this time."""
         run = flight if self.in_flight else contact
-        phase: Phase = run(spring, plate_phase(self.phase), self.state, max(time - self.at, 0.0), budget)
+        phase: Phase = run(spring, plate_phase(self.phase), self.state, max(time - self.time, 0.0), budget)
         return phase
 
     def after(self, p: Phase) -> "_Point":
@@ -89,13 +89,13 @@ def sample(
     filled, budget = 0, BUDGET * periods
     for _ in range(MAX_PHASES):
         p = here.until(spring, float(times[-1]), budget)
-        last = len(times) if p.ending == HORIZON else int(np.searchsorted(times, here.at + p.tau, "left"))
+        last = len(times) if p.ending == HORIZON else int(np.searchsorted(times, here.time + p.tau, "left"))
         for i in range(filled, last):
             points[:, i] = _sampled(spring, here, float(times[i]), budget)
             in_flight[i] = here.in_flight
         filled = max(filled, last)
         if here.in_flight and not under_way and p.ending == ROOT and p.tau > SHORTEST_FLIGHT:
-            flights.append((here.at, p.tau))
+            flights.append((here.time, p.tau))
         budget -= p.used
         if p.ending != ROOT or budget <= 0 or filled == len(times):
             break
@@ -111,6 +111,6 @@ def sample(
 
 def _sampled(spring: Any, here: _Point, time: float, budget: int) -> tuple[float, float, float, float]:
     """Gap, elongation, its velocity, and force at `time` within the phase that begins `here`."""
-    state = here.until(spring, time, budget).state if time > here.at else here.state
+    state = here.until(spring, time, budget).state if time > here.time else here.state
     force = 0.0 if here.in_flight else contact_force(spring, plate_phase(time), state)
     return state.gap, state.q, state.q1, force

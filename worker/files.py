@@ -35,29 +35,29 @@ def complete_file(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
-    """As `complete_file`, but whatever is at `path`, unless it is a folder, is replaced.
+    """As `complete_file`, but replaces anything at `path` except a folder.
 
     Errors name `path`, not the file that takes its place.
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(path.parent))
-    partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     try:
-        with synced(partial, private=private) as file:
+        with synced(draft, private=private) as file:
             yield file
-        partial.replace(path)
+        draft.replace(path)
     except OSError as error:
-        if error.filename != str(partial):
+        if error.filename != str(draft):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
-        partial.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
     sync(path.parent)
 
 
 @contextmanager
 def synced(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
-    """A new file whose contents are on the disk after the block; its name is once its folder is synced."""
+    """A new file whose contents are on the disk after the block; `sync` of its folder secures its name."""
     with open(path, "xb", opener=partial(os.open, mode=0o600) if private else None) as file:
         yield file
         file.flush()

@@ -35,9 +35,9 @@ _chosen: list[Path] = []
 
 
 def use_cache(root: str | Path | None = None) -> Path:
-    """Make this process use the cache of compiled kernels; returns the folder.
+    """Make this process use the cache of compiled kernels, and return its folder.
 
-    Called again, returns the same folder. Raises CacheRefused, or ModuleNotFoundError if there is no kernel.
+    Later calls return the same folder. Raises CacheRefused, or ModuleNotFoundError if there is no kernel.
     """
     if not _chosen:
         folder = _cache_folder(Path(root) if root else default_root())
@@ -50,7 +50,7 @@ def use_cache(root: str | Path | None = None) -> Path:
 
 
 def default_root() -> Path:
-    """The folder of all caches by default."""
+    """The default of ROOT."""
     if configured := os.environ.get(_VARIABLE):
         return Path(configured)
     if caches := os.environ.get("XDG_CACHE_HOME"):
@@ -69,7 +69,7 @@ def _cache_folder(root: Path) -> Path:
         check_unshared(root)
         folder = root / digest
         _make(folder)
-        (folder / _USED).touch()  # its time is that of the last use
+        (folder / _USED).touch()  # records the last use
     except NotOurs as error:
         raise CacheRefused(
             f"the kernel cache {root} is not safe to use: {error}, so others could run code here; remove it, "
@@ -99,7 +99,7 @@ def _remove_old(root: Path, keep: Path) -> None:
 
 
 def digest_of(package: str, *more: str) -> str:
-    """Digest of the contents of a package's sources; not of their times, which differ between machines.
+    """Digest of the contents of a package's sources, without their times, which differ between machines.
 
     Raises ModuleNotFoundError if there is no such package.
     """

@@ -57,8 +57,8 @@ def make_private(folder: Path) -> None:
 def check_unshared(root: Path) -> None:
     """Raise NotOurs unless only this user or root can have written everything in `root`.
 
-    A missing folder passes. Inside a folder that only this user can enter, owners matter but permissions do
-    not: it may have been open before.
+    A missing folder passes. Inside a folder that only this user can enter, only owners matter, not
+    permissions: the folder may have been open before.
     """
     try:
         status = root.stat()
@@ -72,7 +72,7 @@ def check_unshared(root: Path) -> None:
 
 
 def _check(path: Path, status: os.stat_result, forbidden: int) -> None:
-    """Check a file, or a folder and everything in it. `forbidden`: permissions that it must not give."""
+    """Check a file, or a folder and everything in it. `forbidden`: permissions that they must not give."""
     if not _is_ours(status):
         raise NotOurs(f"{path} belongs to another user")
     if status.st_mode & forbidden:

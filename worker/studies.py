@@ -22,12 +22,12 @@ from worker.sweep.specification import EarlierSweep, removed_from
 
 SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 
-#: A sweep that fills cells in: an adaptive map.
+#: An adaptive map: a sweep that computes some cells and fills in the others.
 MAP: Final = Study(
     SweepSpec.parse, maps.make_plan, schema.layout, maps.estimate, "worker.maps.task", maps.first_round
 )
 
-#: Every kind of study by the `kind` of its specification's `protocol`, but for MAP.
+#: Every kind of study except MAP, by the `kind` of its specification's `protocol`.
 STUDIES: Final = {
     "rest": SWEEP,
     "ramp": SWEEP,
@@ -67,7 +67,7 @@ def from_json(text: str | bytes) -> Any:
 
 
 def from_stored(text: str | bytes) -> Any:
-    """A specification that a ledger or store has, also of an earlier release. Raises a `SpecError`."""
+    """A specification from a ledger or store, also of an earlier release. Raises a `SpecError`."""
     data = parsing.read_json(text)
     if isinstance(data, dict) and _study_named(data) is SWEEP and removed_from(data):
         return EarlierSweep.parse(data)

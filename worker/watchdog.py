@@ -65,7 +65,7 @@ def run_watched(
         os._exit(1)
 
     try:
-        _compile(spec, store_url, worker)  # not on the chunk's time
+        _compile(spec, store_url, worker)  # does not count as the chunk's time
         with Watchdog(worker, store_url, seconds, terminate), with_options(options):
             return run_task(spec, chunk, store_url)
     except (ChunkCancelled, ChunkPaused) as stopped:
@@ -73,7 +73,7 @@ def run_watched(
 
 
 def call_while_wanted(function: Callable[..., Any], *arguments: Any) -> Any:
-    """`function(*arguments)`, which stops between two steps once its task is cancelled."""
+    """`function(*arguments)`; None if its task is cancelled, which stops it between two steps."""
     worker = get_worker()
     task = worker.state.tasks[worker.get_current_task()]
     with contextlib.suppress(Stopped), stopped_if(lambda: bool(task.state == "cancelled")):

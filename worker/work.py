@@ -1,8 +1,7 @@
-"""What the tasks of all studies share: time slices, checkpoints, kernels.
+"""Code that the tasks of all studies share: time slices, checkpoints, kernels.
 
-A chunk that takes longer than a time slice pauses: its progress is kept in a checkpoint, from which the next
-task of the same chunk continues. So no chunk, however long its cells are, keeps a worker from others for
-longer than a slice.
+A chunk that takes longer than a time slice pauses: it writes its progress to a checkpoint, from which the
+next task of the same chunk continues. So no chunk occupies a worker for longer than a slice.
 """
 
 import importlib
@@ -34,13 +33,13 @@ KEPT_BYTES: Final = 16 * 2**20
 #: Seconds between two checks of the cancel flag, which may be in a distant bucket.
 CANCEL_SECONDS: Final = 0.25
 
-#: Contacts and flights between two looks at the clock, at first, and the seconds that they should take: the
-#: number is doubled or halved accordingly. A cell takes about two for each plate period.
+#: Contacts and flights between two looks at the clock: the first number, and the largest. It is doubled or
+#: halved until they take LOOK_SECONDS. A cell has about two for each plate period.
 FIRST_STEPS: Final = 4096
 MOST_STEPS: Final = 2**40
 LOOK_SECONDS: Final = (0.02, 0.1)
 
-#: Errors of writing a checkpoint, which do not fail the chunk.
+#: Errors of writing a checkpoint that do not fail the chunk.
 _UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
 
 #: Names of a checkpoint's arrays; then the prefixes of the line under way and of the record.
@@ -55,9 +54,9 @@ _Arrays = dict[str, NDArray[Any]]
 class Work:
     """Computes a chunk's lines and looks at the clock and the cancel flag between parts of a line.
 
-    The parts do not affect the results. `record`: the chunk's arrays, of `sizes` along their own dimensions,
-    with its `done` first lines. `beside`: arrays that checkpoints keep, too. Raises the StoreError of storing
-    it now: computing can take minutes.
+    The parts do not affect the results. `record`: the chunk's arrays, of which the first `done` lines are
+    computed. `sizes`: lengths of their own dimensions. `beside`: further arrays that checkpoints keep. Raises
+    StoreError if the chunk could not be stored, before it is computed for minutes.
     """
 
     def __init__(
@@ -83,7 +82,7 @@ class Work:
                 self._restore(saved)
 
     def _save(self) -> _Arrays:
-        """The arrays of a checkpoint, but for the line under way."""
+        """The arrays of a checkpoint, without those of the line under way."""
         kept = self._kept if self.done else {}
         return {
             _SECONDS: np.array(self.seconds),
@@ -92,21 +91,21 @@ class Work:
         }
 
     def _restore(self, saved: _Arrays) -> None:
-        """Take back the arrays of a checkpoint. Raises KeyError or ValueError for any others."""
+        """Continue from the arrays of a checkpoint. Raises KeyError or ValueError for other arrays."""
         self._before, self.done = saved[_SECONDS].reshape(2), int(saved[_DONE])
         for name, array in self._kept.items() if self.done else ():
             array[...] = saved[_RECORD + name]
         self._under_way = {name.removeprefix(_LINE): saved[name] for name in saved if name.startswith(_LINE)}
 
     def finish(self, *, last: bool = False) -> None:
-        """Note that a line is in the record. Raises ChunkPaused, unless it was the last."""
+        """Note that a line is in the record. May raise ChunkPaused, except after the last line."""
         self.done += 1
         if not last:
             self.pause_if_due({})
 
     @property
     def seconds(self) -> tuple[float, float]:
-        """Seconds since the chunk began, without pauses, and the part in the kernel."""
+        """Seconds since the chunk began, and those in the kernel; both without pauses."""
         return time.perf_counter() - self._began + self._before[0], self.kernel_seconds + self._before[1]
 
     def compute(self, run: LineRun) -> Line:
@@ -150,8 +149,8 @@ class Work:
     def pause_if_due(self, under_way: _Arrays) -> None:
         """Write a checkpoint and raise ChunkPaused if the slice is over, or the worker is leaving.
 
-        `under_way`: the arrays of a line, or empty.
-        Where a checkpoint cannot be written, e.g. on a full disk, the chunk continues.
+        `under_way`: the arrays of the line under way, if any. The chunk continues if its checkpoint cannot be
+        written, e.g. on a full disk.
         """
         if not LEAVING.is_set() and time.thread_time() - self._slice_began <= self._slice_seconds:
             return
@@ -193,8 +192,7 @@ def compile_kernels() -> None:
     for kind, model in CONTACT_MODELS.items():
         contact: Any = model.fields(kind=kind)
         plate = plate_of(contact, axis, axis, axis)
-        _run_briefly(axis, axis, axis, plate=plate, carry=False)
-        if exponents := dimension(plate):
+        for exponents in {0, dimension(plate)}:
             _run_briefly(axis, axis, axis, plate=plate, carry=False, exponents=exponents)
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
         if kind in ("rigid", "soft"):
@@ -204,7 +202,8 @@ def compile_kernels() -> None:
 def compile_for(spec: Any) -> None:
     """Compile or load the kernels of a study, if it has a contact model.
 
-    Once compiled, this takes a fraction of a millisecond: one plate period of the first cell.
+    Computes one plate period of the first cell, which takes a fraction of a millisecond with compiled
+    kernels.
     """
     if hasattr(spec, "model"):
         cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]

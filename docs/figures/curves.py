@@ -17,13 +17,13 @@ STYLES = {Kind.FOLD: "C0-", Kind.FLIP: "C1--", Kind.NEIMARK_SACKER: "C2:"}
 POINTS = {Kind.CUSP: "C0o", Kind.BOGDANOV_TAKENS: "C2D"}
 
 
-def depth(at: Tip) -> float:
-    """How far a tip lies below Γ_th, in parts of it."""
-    return 1.0 - at.gamma / float(threshold(at.omega, at.xi))
+def depth(lowest: Tip) -> float:
+    """How far a tip lies below Γ_th, relative to it."""
+    return 1.0 - lowest.gamma / float(threshold(lowest.omega, lowest.xi))
 
 
 def draw(lines: int = 13, tips: int = 4) -> Figure:
-    """`lines`: frequencies at which curves are looked for; `tips`: minima of Γ_down that are drawn."""
+    """`lines`: frequencies at which curves are sought; `tips`: minima of Γ_down that are drawn."""
     found = curves(Parameter.OMEGA, XI, *OMEGAS, 1, tuple(STYLES), lines=lines)
     figure = Figure(figsize=(6.4, 7.2), layout="constrained")
     above, below = figure.subplots(2)
@@ -38,8 +38,8 @@ def draw(lines: int = 13, tips: int = 4) -> Figure:
         shown = (found.points.kind == kind) & (found.points.violations == 0)
         above.plot(found.points.omega[shown], found.points.gamma[shown], style, mfc="white", label=kind)
     for j in range(1, tips + 1):
-        name, at, end = rf"$\Omega_{{{j}1}}$", tip(j, 1, XI), end_of_hysteresis(j, 1)
-        above.annotate(name, (at.omega, at.gamma), (0, -12), textcoords="offset points", ha="center")
+        name, lowest, end = rf"$\Omega_{{{j}1}}$", tip(j, 1, XI), end_of_hysteresis(j, 1)
+        above.annotate(name, (lowest.omega, lowest.gamma), (0, -12), textcoords="offset points", ha="center")
         xi = np.linspace(0.004, end.xi, 24)
         below.plot(xi, [depth(deepest(j, 1, float(value))) for value in xi], label=name)
         below.plot(end.xi, depth(end), "o", color=below.lines[-1].get_color(), mfc="white")

@@ -1,4 +1,4 @@
-"""Draw figure-energy.png here: Γ_down, and what impact and dashpot take at the cycle that ends there.
+"""Draw figure-energy.png here: Γ_down, and the energy that impact and dashpot of the last cycle take.
 
 python docs/figures/energy.py
 """
@@ -13,23 +13,23 @@ from kernel.threshold import threshold
 XI = 0.05
 
 
-def impact_share(found: Thresholds) -> float:
-    """The percentage of the lost energy that the impact takes; NaN where bouncing does not end at a fold."""
-    if found.fold is None:
+def impact_share(ends: Thresholds) -> float:
+    """The percentage of the energy that is lost in the impact; NaN where bouncing does not end at a fold."""
+    if ends.fold is None:
         return np.nan
-    lost = found.fold.energy
+    lost = ends.fold.energy
     return float(100 * lost.impact[0] / (lost.impact + lost.dashpot)[0])
 
 
 def draw(num: int = 101) -> Figure:
     """`num`: frequencies."""
     omega = np.linspace(0.25, 0.75, num)
-    found = [thresholds(float(value), XI) for value in omega]
-    share = np.array([impact_share(each) for each in found])
+    ends = [thresholds(float(value), XI) for value in omega]
+    share = np.array(list(map(impact_share, ends)))
     figure = Figure(figsize=(6.4, 6.0), layout="constrained")
     above, below = figure.subplots(2, sharex=True)
     above.plot(omega, threshold(omega, XI), color="0.7", linewidth=3, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
-    above.plot(omega, np.where(np.isfinite(share), [each.down for each in found], np.nan),
+    above.plot(omega, np.where(np.isfinite(share), [end.down for end in ends], np.nan),
                label=r"$\Gamma_\mathrm{down}$")  # fmt: skip
     below.fill_between(omega, 0, share, color="C3", alpha=0.75, linewidth=0, label="impact")
     below.fill_between(omega, share, 100, color="C0", alpha=0.35, linewidth=0, label="dashpot")

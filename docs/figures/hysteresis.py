@@ -24,15 +24,15 @@ STEP = 1e-5
 
 
 def seeded(omega: float) -> dict[str, Any] | None:
-    """The ramp down to the fold at which bouncing ends; none where it does not end at a fold of (1, k)."""
-    found = thresholds(omega, XI)
-    if found.fold is None or not found.cause.startswith("fold (1,"):
+    """The ramp down to the fold at which bouncing ends; None where it does not end at a fold of (1, k)."""
+    end = thresholds(omega, XI)
+    if end.fold is None or not end.cause.startswith("fold (1,"):
         return None
-    # half a step beside the fold: a cell at the fold itself would hang on rounding
-    low, high = found.fold.gamma - 5.5 * STEP, found.fold.gamma + 24.5 * STEP
-    if start_on_stable_cycle(Cell(high, omega, XI), found.fold.periods) is None:
+    # half a step beside the fold: rounding would decide a cell at the fold itself
+    low, high = end.fold.gamma - 5.5 * STEP, end.fold.gamma + 24.5 * STEP
+    if start_on_stable_cycle(Cell(high, omega, XI), end.fold.periods) is None:
         return None
-    start = {"bounces": 1, "periods": found.fold.periods}
+    start = {"bounces": 1, "periods": end.fold.periods}
     return {
         "gamma": {"start": low, "stop": high, "num": 31}, "omega": omega, "xi": XI,
         "protocol": {"kind": "ramp", "axis": "gamma", "direction": "down", "start": start},
@@ -54,7 +54,7 @@ def draw(
     `num`: predicted frequencies; `omegas`: those of ramps from the cycle; `loop`: the ramps of Fig. 9.
     """
     grid = np.linspace(0.25, 0.85, num)
-    found = [thresholds(float(omega), XI) for omega in grid]
+    predicted = [thresholds(float(omega), XI) for omega in grid]
     ramps = {omega: spec for omega in omegas if (spec := seeded(omega))}
     folds = [thresholds(omega, XI).down for omega in ramps]
     ends = [float(last_bouncing(spec)[0]) - fold for spec, fold in zip(ramps.values(), folds, strict=True)]
@@ -62,10 +62,10 @@ def draw(
     figure = Figure(figsize=(6.4, 7.2), layout="constrained")
     axes, below = figure.subplots(2, sharex=True, height_ratios=(3, 1))
     axes.plot(grid, threshold(grid, XI), color="0.7", linewidth=3, label=r"$\Gamma_\mathrm{th}$, Eq. 25")
-    axes.plot(grid, [each.jump for each in found], "C1--", label=r"$\Gamma_\mathrm{jump}$, upper fold")
-    down = [np.nan if each.fold is None else each.down for each in found]
+    axes.plot(grid, [end.jump for end in predicted], "C1--", label=r"$\Gamma_\mathrm{jump}$, upper fold")
+    down = [np.nan if end.fold is None else end.down for end in predicted]
     axes.plot(grid, down, "C0", label=r"$\Gamma_\mathrm{down}$, lower fold")
-    unresolved = [each.cause == UNRESOLVED for each in found]
+    unresolved = [end.cause == UNRESOLVED for end in predicted]
     axes.fill_between(grid, 0, 1, where=unresolved, step="mid", color="0.8", label="unresolved",
                       transform=axes.get_xaxis_transform())  # fmt: skip
     fig_9 = last_bouncing(loop)
@@ -83,5 +83,4 @@ if __name__ == "__main__":
     figure, ends = draw()
     near = sum(abs(end) <= 2 * STEP for end in ends)
     text = f"{near} of {len(ends)} ramps from the cycle end within 2·10⁻⁵ of the fold"
-    picture = "figure-hysteresis.png"
-    figure.savefig(picture, dpi=150, metadata={"Description": text})
+    figure.savefig("figure-hysteresis.png", dpi=150, metadata={"Description": text})

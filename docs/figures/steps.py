@@ -27,18 +27,18 @@ def sweep(restitution: float, num: int, **steps: str) -> xarray.Dataset:
 
 
 def deviations(stepped: xarray.Dataset, exact: xarray.Dataset) -> np.ndarray:
-    """(n,) rad: of cells that repeat exactly, how far flights lie at most from all flights of the cycle."""
-    found = []
+    """(n,) rad: for n cells with an exact cycle, how far stepped flights lie at most from it."""
+    largest = []
     for gamma in exact.gamma[exact.outcome == Outcome.PERIODIC]:
-        flights = [each.flight_time.sel(gamma=gamma).values for each in (stepped, exact)]
-        some, cycle = (each[each > MICRO] for each in flights)
-        found.append(np.abs(some[:, None] - cycle).min(axis=1).max())
-    return np.array(found)
+        times = [diagram.flight_time.sel(gamma=gamma).values for diagram in (stepped, exact)]
+        flights, cycle = (time[time > MICRO] for time in times)
+        largest.append(np.abs(flights[:, None] - cycle).min(axis=1).max())
+    return np.array(largest)
 
 
 def draw(num: int = GAMMA_NEAR_TWO["num"]) -> tuple[Figure, dict[tuple[str, str], np.ndarray]]:
     """The figure, and the deviations by scheme and events; `num`: values of Γ."""
-    figure, found = Figure(figsize=(9.6, 6.0), layout="constrained"), {}
+    figure, errors = Figure(figsize=(9.6, 6.0), layout="constrained"), {}
     panels = figure.subplots(len(ROWS), 3, sharex=True, sharey="row")
     for (restitution, scheme), row in zip(ROWS, panels, strict=True):
         exact = sweep(restitution, num)
@@ -47,15 +47,14 @@ def draw(num: int = GAMMA_NEAR_TWO["num"]) -> tuple[Figure, dict[tuple[str, str]
         for axes, events in zip(row[1:], ("located", "plain"), strict=True):
             stepped = sweep(restitution, num, kind="stepped", scheme=scheme, events=events)
             draw_diagram(axes, stepped)
-            found[scheme, events] = each = deviations(stepped, exact)
-            axes.set_title(f"{scheme.title()}, {events}: up to {each.max():.1g} rad off", fontsize=10)
+            errors[scheme, events] = off = deviations(stepped, exact)
+            axes.set_title(f"{scheme.title()}, {events}: up to {off.max():.1g} rad off", fontsize=10)
     for axes in panels.flat:
         axes.label_outer()
-    return figure, found
+    return figure, errors
 
 
 if __name__ == "__main__":
-    figure, found = draw()
-    rows = (f"{' '.join(names)}: median {np.median(each):.1g} rad" for names, each in found.items())
-    picture = "figure-steps.png"
-    figure.savefig(picture, dpi=110, metadata={"Description": ", ".join(rows)})
+    figure, errors = draw()
+    rows = (f"{' '.join(names)}: median {np.median(off):.1g} rad" for names, off in errors.items())
+    figure.savefig("figure-steps.png", dpi=110, metadata={"Description": ", ".join(rows)})

@@ -1,7 +1,7 @@
 """The minima of the descending threshold over Omega: landings that take no energy (docs/hysteresis.md).
 
 Gamma(T, Omega) of a (1,k) branch has a fold where its derivative by T is zero. The lowest fold over Omega, a
-tip, is where the derivative by Omega is zero too. As xi goes to zero, tips go to springs that hop on a plate
+tip, is where the derivative by Omega is zero too. In the limit xi = 0, tips are springs that hop on a plate
 at rest and land with the velocity of the plate.
 """
 
@@ -16,14 +16,14 @@ from kernel.cycles.closed_form import orbit
 from kernel.cycles.roots import Floats
 from kernel.cycles.spring import STEP, spring
 
-#: Newton steps at most, and the last step's size, relative.
+#: Most steps of Newton's method, and the relative size of the last one.
 _NEWTON: Final = 40
 _CONVERGED: Final = 1e-12
 
 #: Step of differences of exact first derivatives; its square is the relative error of second ones.
 _DIFFERENCE: Final = 1e-5
 
-#: Dampings below which tips are looked for from the limit xi -> 0 without steps in xi.
+#: Largest damping at which a tip is sought from the limit xi -> 0 without steps in xi.
 _FIRST_XI: Final = 0.01
 
 
@@ -61,7 +61,7 @@ def tip(j: int, periods: int, xi: float) -> Tip:
 
 
 def deepest(j: int, periods: int, xi: float) -> Tip:
-    """Where the fold of the j-th tip's branch lies lowest in parts of Gamma_th."""
+    """Where the fold of the j-th tip's branch lies lowest, relative to Gamma_th."""
 
     def slopes(v: Floats) -> Floats:
         gamma, by_t, by_omega = _slopes(v[0], v[1], xi, periods)
@@ -74,7 +74,7 @@ def deepest(j: int, periods: int, xi: float) -> Tip:
 
 
 def end_of_hysteresis(j: int, periods: int) -> Tip:
-    """The largest damping at which the j-th tip's branch still folds below Gamma_th, and where it does."""
+    """The fold of the j-th tip's branch at the largest damping at which it still lies below Gamma_th."""
     first = tip(j, periods, 0.05)
 
     def touching(v: Floats) -> Floats:

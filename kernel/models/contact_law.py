@@ -81,7 +81,7 @@ def chatter_lift(hop: float, n: float, n1: float, e: float) -> tuple[float, floa
 def chatter_lift_variation(
     hop: float, n: float, n1: float, e: float, dhop: float, dn: float, dn1: float
 ) -> tuple[float, float]:
-    """By how much both integrals of `chatter_lift` vary with small changes of hop > 0, n and n1."""
+    """The variations of both integrals of `chatter_lift` with small changes of hop > 0, n and n1."""
     area, moment = chatter_lift(hop, n, 0.0, e)
     by_hop, by_n, slope = dhop / hop, dn / n, moment / n
     d_area = area * (3.0 * by_hop - 2.0 * by_n) - slope * (4.0 * n1 * (by_hop - by_n) + dn1)
@@ -90,5 +90,5 @@ def chatter_lift_variation(
 
 @inlined
 def chatter_push(b: float, w: float, area: float, moment: float) -> tuple[float, float]:
-    """What both integrals of the gap add to q and q' of a stuck spring of dashpot b and stiffness w."""
+    """Changes of q and q' of a stuck spring with dashpot b and stiffness w by both integrals of the gap."""
     return b * area - (w - b * b) * moment, (w - b * b) * area + b * (2.0 * w - b * b) * moment

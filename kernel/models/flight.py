@@ -16,9 +16,9 @@ from kernel.numerics.jit import inlined, jit
 from kernel.numerics.oscillator import SHORT, Oscillator, derivatives, displacement, envelope, motion
 
 #: `_soon_after` sums the power series of q in tau to this order, for tau * rate < SHORT. With |q^(4)| <= b,
-#: |q^(k)| is at most 1.62 b rate^(k-4): what is omitted is below 1.62 b tau^4 0.5**13/17! = 6e-19 b tau^4 of
-#: q and 1e-17 b tau^3 of q', rounding errors of the fourth order's terms. In a hop b tau^2 is at most
-#: 3 |gap''|, as HOP_VARIATION says, so that its end moves by less than 1e-16 of it.
+#: |q^(k)| is at most 1.62 b rate^(k-4): the omitted terms are below 1.62 b tau^4 0.5**13/17! = 6e-19 b tau^4
+#: in q and 1e-17 b tau^3 in q', rounding errors of the fourth order's terms. In a hop b tau^2 is at most 3
+#: |gap''|, as HOP_VARIATION says, so that its end moves by less than 1e-16 of it.
 SERIES_ORDER: Final = 16
 #: Of the order n, at n.
 _ONE_OVER: Final = np.array([math.inf, *(1.0 / n for n in range(1, SERIES_ORDER + 1))])
@@ -102,13 +102,13 @@ class Hop(NamedTuple):
 
 @jit
 def short_hop(p: Flight, lead: float, start: float, horizon: float, budget: int) -> Hop:
-    """The end of a hop that is surely over soon: where gap + lead gap', at most zero now, is zero again.
+    """The end of a short hop: where gap + lead gap', at most zero now, is zero again.
 
     lead = 0 is a landing. Where HOP_VARIATION bounds its second derivative, the function rises and falls
     once, so that the zero at which it falls is the first. Newton's steps on its polynomial guess it; a power
     series of the state there and Householder's step end it to rounding, without a sine. Not served: where the
-    second derivative may change too much, where the function leaves zero at less than half of its rate now,
-    or where the series is too long.
+    second derivative may change too much, where the function leaves zero at less than half of its present
+    rate, or where the series would be too long.
     """
     drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
     q2 = drag * p.q1 + pull * p.q
@@ -242,10 +242,10 @@ def flight_terms(p: Flight, tau: float) -> Terms:
 
 @jit
 def landing_error(p: Flight, tau: float) -> float:
-    """How far rounding may move the landing at tau, in rad: far for a touch, as the gap's rate is small.
+    """How far rounding may move the landing at tau, in rad: far for a touch, where the gap's rate is small.
 
-    With that of the take-off, where the force, minus the gap's second derivative, falls through zero: if
-    slowly, a delay of the take-off makes the flight longer by three times as much.
+    Includes the error of the take-off, which is large if the force, minus the gap's second derivative, falls
+    through zero slowly. A delay of the take-off makes the flight longer by three times as much.
     """
     f = flight_terms(p, tau)
     rate = abs(f.smooth1 + f.ring1)

@@ -16,7 +16,7 @@ fast root, r = 0 and the mode is u + v, whose two amplitudes never cancel (`kern
 derivative of it is bounded from now on by |u| + |v| of that derivative.
 
 One call of `advance` evaluates every lane's F once and moves every lane on, without a branch, so that the
-compiler turns it into vector instructions. What a lane does never depends on others.
+compiler turns it into vector instructions. A lane never depends on other lanes.
 
 A lane differs from the scalar search where vector code requires it: one round of `safe_step` for each
 evaluation, with the width carried on; Householder's steps without a bracket, and a cap on the evaluations.

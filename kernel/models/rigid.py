@@ -59,7 +59,7 @@ class Spring(NamedTuple):
     dashpot: float  # 2 xi/Omega
     stiffness: float  # w = 1/Omega**2
     restitution: float
-    stuck: Oscillator  # the free elongation in contact, of stiffness w_s: w but for NEAREST_RESONANCE
+    stuck: Oscillator  # the free elongation in contact, of stiffness w_s: w, or w shifted from resonance
     flight: Oscillator  # and in flight
     static_elongation: float  # -Omega**2/Gamma
     q_re: float  # the driven elongation is Re(Q e^{i phi})
@@ -67,7 +67,7 @@ class Spring(NamedTuple):
     mean_force: float  # 2/Gamma
     n_re: float  # the driven normal force is mean_force - Re(N e^{i phi}), |N| = 2/Gamma_th
     n_im: float
-    margin: float  # mean_force - |N|: what the free part must bring up for a take-off, if positive
+    margin: float  # mean_force - |N|: if positive, a take-off needs a free part of this size
 
 
 class Stuck(NamedTuple):
@@ -230,11 +230,11 @@ def land(s: Spring, phi: PlatePhase, tau: float, state: State, used: int) -> Pha
 def _rest_of_chatter(
     s: Spring, phi: PlatePhase, hop: float, q: float, q1: float
 ) -> tuple[bool, float, float]:
-    """Whether chatter that begins with `hop` may be summed; what it adds to q and q' of a mass that sticks.
+    """Whether chatter that begins with `hop` may be summed, and its change of q and q' of a mass that sticks.
 
-    In a hop the upper mass is accelerated by b gap' + w gap more than if the lower one stuck. All of it is
-    added now, as what is free in contact carries it on. That acceleration lowers n too, which moves the sums
-    as far as a rate of b n would.
+    In a hop the upper mass is accelerated by b gap' + w gap more than if the lower one stuck. The whole
+    change is added now, and the free motion in contact carries it on. That acceleration lowers n too, which
+    moves the sums as far as a rate of b n would.
     """
     b, w = s.dashpot, s.stiffness
     n = normal_force(s, phi.cos, q, q1)

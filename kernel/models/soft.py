@@ -212,7 +212,7 @@ def emergence_bound(s: SoftSpring, p: Flight) -> float:
 
 @jit
 def _below_surface(s: SoftSpring, p: Flight, horizon: float, budget: int) -> tuple[float, int, int]:
-    """Follow a flight from below the surface: (tau, ending, evaluations used) as of `first_root`.
+    """Follow a flight from below the surface: (tau, ending, evaluations used), as `first_root`.
 
     ROOT with a gap <= 0: back in contact. Otherwise, with a gap >= 0, the mass has emerged and not landed.
     While c(tau) = kappa gap + beta gap' is positive, gap exp(kappa/beta tau) grows, so that the gap passes

@@ -41,7 +41,7 @@ from kernel.restitution import scalar_damping_ratio
 #: As in `rigid`: the relative distance to an undamped resonance is kept above this.
 NEAREST_RESONANCE: Final = 1e-8
 
-#: The modes of a cell whose numbers are too far apart for any factors to be found: the cell diverges.
+#: The modes of a cell whose parameters are too far apart to find any factors: the cell diverges.
 UNDEFINED: Final = Oscillator(*(math.nan,) * len(Oscillator._fields))
 
 
@@ -94,7 +94,7 @@ class SoftSpring(NamedTuple):
     static_lift: float  # of the lift-off function, > 0
     wave_re: float  # its driven part Re(W e^{i phi})
     wave_im: float
-    margin: float  # static_lift - |W|: what both free modes must bring up for a take-off, if positive
+    margin: float  # static_lift - |W|: if positive, a take-off needs free modes of this size
 
 
 class ModalState(NamedTuple):
@@ -354,7 +354,7 @@ def combine(
 
 @inlined
 def modes_of(s: SoftSpring, phi: PlatePhase, state: State) -> ModalState:
-    """The free modes of a state at phi: what is left without the static and driven parts."""
+    """The free modes of a state at phi: the motion without its static and driven parts."""
     gap, gap1, q, q1 = state
     q -= s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin
     q1 += s.q_re * phi.sin + s.q_im * phi.cos
@@ -368,7 +368,7 @@ def state_of(
     s: SoftSpring, m: ModalState, phi: PlatePhase, gap_over: tuple[float, float, float],
     elongation_over: tuple[float, float, float],
 ) -> State:  # fmt: skip
-    """The state at phi, some time after the modes were `m`, of which these are the propagators."""
+    """The state at phi, from the modes `m` before and the propagators over the time since."""
     gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
     return State(
         s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin + gap,

@@ -6,11 +6,11 @@ the contact's duration over `steps_per_contact` (Eq. 13, `kernel.step_limits`). 
 steps end is the same in every period.
 
 The spring takes off or lands inside a step. With `located` events that step is shortened so that it ends
-there (at the zero of the same scheme's own gap or force), and another shortened one leads back to the grid.
-With `plain` ones, of textbooks, no step is: the spring takes off or lands at the end of the step, under the
-force of the gap there. So the force sets in late by up to h, and both schemes are of first order. Events are
-detected at the ends of steps only: a touch or a hop shorter than a step may be missed, and one that ends
-before the first grid point ends there.
+there (at the zero of the same scheme's own gap or force), and another shortened step leads back to the grid.
+With `plain` events, as in textbooks, no step is shortened: the spring takes off or lands at the end of the
+step, under the force of the gap there. So the force sets in late by up to h, and both schemes are of first
+order. Events are detected at the ends of steps only: a touch or a hop shorter than a step may be missed, and
+one that ends before the first grid point ends there.
 
 One formula makes both schemes, m = 1/2 for velocity Verlet and m = 0 for semi-implicit Euler:
     v(1) = v + (1 - m) h a(x, v, phi)      x+ = x + h v(1)

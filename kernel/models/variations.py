@@ -43,7 +43,7 @@ def _put(vectors: Any, k: int, g: float, g1: float, q: float, q1: float) -> None
 
 @inlined
 def _forget(vectors: Any) -> None:
-    """Motions that differ end in the same state."""
+    """Set all variations to zero: the motions end in the same state."""
     vectors[:] = 0.0
 
 
@@ -139,7 +139,7 @@ def _rigid_landing(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: 
 
 @jit
 def _rest_of_chatter(s: Spring, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
-    """What summed chatter adds to q and q' of a mass that sticks varies with its first hop, n and n'."""
+    """Add how the sums of chatter, for a mass that sticks, vary with its first hop, n and n'."""
     b, w, e = s.dashpot, s.stiffness, s.restitution
     _, impact, q, q1 = flight.state_after(flight.begin_flight(s.flight, s.gravity, phi, state), end.tau)
     if impact >= 0.0:

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and which are being compiled; without numba."""
+"""The folder of compiled kernels, and the kernels that are being compiled; without numba."""
 
 import threading
 import time
@@ -18,12 +18,12 @@ class Compilation(NamedTuple):
 #: Where entries are kept; None: nowhere.
 _folder: Path | None = None
 
-#: What the threads of this process compile, by thread.
+#: The compilations of this process, by thread.
 _under_way: dict[int, Compilation] = {}
 
 
 def set_cache(folder: Path | None) -> None:
-    """Keep compiled entries in a folder that exists; whoever can write to it decides what code runs here."""
+    """Keep compiled entries in this folder, which must exist; anyone who writes to it decides what runs."""
     global _folder  # noqa: PLW0603 - one cache for all kernels of a process
     _folder = folder
 
@@ -34,13 +34,13 @@ def cache_folder() -> Path | None:
 
 
 def compilations() -> list[Compilation]:
-    """What this process compiles or loads at present; nothing where plain `numba.njit` compiles."""
+    """The compilations of this process now; empty where plain `numba.njit` compiles."""
     return list(_under_way.values())
 
 
 @contextmanager
 def compiling(kernel: str) -> Iterator[None]:
-    """Tell `compilations`."""
+    """List this kernel in `compilations` during the block."""
     thread = threading.get_ident()
     _under_way[thread] = Compilation(kernel, time.time())
     try:

@@ -8,7 +8,7 @@ A cache (`set_cache`) keeps two files for each entry and signature: the linked c
 is the same on all processors, and the machine code of one processor. A file appears whole or not at all,
 so any number of processes share a folder; of several that need the same entry one compiles it.
 
-All that rests on numba's internals is in this module, which `kernel.numerics.jit` imports if it can;
+Only this module uses numba's internals; `kernel.numerics.jit` imports it if it can, and
 `tests/unit/kernel/numerics/test_compilation.py` fails when numba changes them.
 """
 
@@ -38,8 +38,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global
 
 from kernel.numerics.cache import cache_folder, compiling
 
-#: numba's passes that kernels need, in its order. The others look for what kernels do not have, such as
-#: `with`, `literal_unroll` or functions inlined as Python.
+#: numba's passes that kernels need, in its order. The others are for `with`, `literal_unroll` or functions
+#: inlined as Python, which kernels do not have.
 _PASSES: Final = (
     untyped.TranslateByteCode,
     untyped.FixupArgs,
@@ -110,12 +110,12 @@ class _EntryLibrary(_InnerLibrary):
         self._linking_libraries: list[CodeLibrary] = []
         for function in self._final_module.functions:
             if not function.is_declaration and function.linkage.name == "linkonce_odr":
-                function.linkage = "internal"  # LLVM inlines what is called once, and drops what is not
+                function.linkage = "internal"  # LLVM inlines functions called once, and drops unused ones
         self.bitcode = self._final_module.as_bitcode()
         super().finalize()
 
     def _optimize_final_module(self) -> None:
-        """Optimise twice: what is inlined in the first round is simple enough for vectors in the second."""
+        """Optimise twice: code inlined in the first round is simple enough for vectors in the second."""
         module, codegen = self._final_module, self._codegen
         _shorten(module, codegen._tm)
         cheap, builder = codegen._module_pass_manager(
@@ -208,7 +208,7 @@ class _Typing:
     def resolve_function_type(self, function: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
         """The signature of a call."""
         module = getattr(getattr(function, "typing_key", None), "__module__", None)
-        if kws or module not in _BUILT_IN or not all(type(each) in _VALUES for each in args):
+        if kws or module not in _BUILT_IN or not all(type(arg) in _VALUES for arg in args):
             return self._context.resolve_function_type(function, args, kws)
         call = (function.typing_key, args)
         if call not in self._known:
@@ -236,7 +236,7 @@ class Inner(_Compiler):
     """Types and lowers a function for its callers."""
 
     def compile_extra(self, func: Any) -> Any:
-        """The result, whose entry point is but a key by which callers find it."""
+        """The result, whose entry point is only a key by which callers find it."""
         state = self.state
         state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
         state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
@@ -262,9 +262,10 @@ class _EntryCompiler(_Compiler):
 
 
 def _environments(library: Any) -> list[Any]:
-    """numba's environments, Python objects that compiled code refers to, of an entry."""
-    found = [lookup_environment(variable.name) for variable in library._final_module.global_variables]
-    return [environment for environment in found if environment is not None and environment.can_cache()]
+    """numba's environments of an entry: Python objects that its code refers to."""
+    variables = library._final_module.global_variables
+    environments = (lookup_environment(variable.name) for variable in variables)
+    return [each for each in environments if each is not None and each.can_cache()]
 
 
 class Entry(CPUDispatcher):
@@ -300,12 +301,12 @@ class Kernel(CPUDispatcher):
         return self.entry(*args)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """As numba does, but not for each constant that is passed as an integer anew."""
-        plain = (types.unliteral(each) if isinstance(each, types.IntegerLiteral) else each for each in args)
+        """As numba does, but one template for all constant integers."""
+        plain = (types.unliteral(arg) if isinstance(arg, types.IntegerLiteral) else arg for arg in args)
         return super().get_call_template(tuple(plain), kws)
 
     def compile(self, sig: Any) -> Any:
-        """As numba does, quicker where that is done: it asks at every call that it types."""
+        """As numba does, but quicker for a compiled function: numba asks at every call that it types."""
         done = self.overloads.get(sig) if isinstance(sig, tuple) else None
         return super().compile(sig) if done is None else done.entry_point
 
@@ -360,8 +361,8 @@ class _EntryCache:
             return None
         machine_code = _machine_code(path, codegen)
         for file in (machine_code, path):
-            if (found := _load(file)) is not None:
-                code, facts = found
+            if (saved := _load(file)) is not None:
+                code, facts = saved
                 library = _EntryLibrary.loaded(codegen, self._name, code, emitted=file == machine_code)
                 result = _rebuilt(target, library, facts)
                 if file == path:
@@ -391,7 +392,7 @@ class _EntryCache:
             yield
 
     def _path(self, sig: Any) -> Path | None:
-        """The file of a signature before optimisation; None if nothing is cached, as of others' models."""
+        """The file of a signature before optimisation; None without a cache, and for models of others."""
         arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
         module, folder = _module(arguments), cache_folder()
         if folder is None or not (module or "kernel.").startswith("kernel."):
@@ -401,7 +402,7 @@ class _EntryCache:
 
 
 def _module(arguments: tuple[Any, ...]) -> str:
-    """The module of the class of the first argument, "" if it is no NamedTuple."""
+    """The module of the first argument's class; "" if that is not a NamedTuple."""
     kind = getattr(arguments[0], "instance_class", None) if arguments else None
     return kind.__module__ if kind is not None else ""
 
@@ -429,7 +430,7 @@ def _rebuilt(target: Any, library: _EntryLibrary, facts: Any) -> CompileResult:
 
 
 def _load(path: Path) -> Any:
-    """What `_save` wrote; None if there is nothing, or a damaged file."""
+    """The content of `_save`; None if the file is missing or damaged."""
     try:
         content = path.read_bytes()
     except OSError:
@@ -438,7 +439,7 @@ def _load(path: Path) -> Any:
 
 
 def _save(path: Path, content: Any) -> None:
-    """Write a file whole; where that cannot be done, the next process compiles again."""
+    """Write a file completely or not at all; without it the next process compiles again."""
     draft = path.with_name(f"{path.name}.{os.getpid()}-{threading.get_ident()}")
     try:
         pickled = dumps(content)

@@ -20,7 +20,7 @@ from kernel import portable_math
 from kernel.numerics.jit import PIPELINE, compilable, inlined, jit
 from kernel.portable_math import EXP_POLYNOMIAL, LN2_HIGH, LN2_LOW, ONE_OVER_LN2
 
-for _name in ("_log_of_sum", "_atan_of_ratio", "exp", "asinh", "atan2", "atanh", "hypot", "log", "log1p"):
+for _name in ("_log_of_sum", "_atan_of_ratio", "exp", "asinh", "atan2", "hypot", "log", "log1p"):
     compilable(getattr(portable_math, _name))
 
 TWO_PI: Final = 2.0 * math.pi
@@ -179,7 +179,7 @@ def _sincos_large(x: float) -> tuple[float, float]:
     if fraction >= 0.5:
         fraction, total = -rest, total + 1
     r = fraction * _HALF_PI
-    lost = fma(fraction, _HALF_PI, -r) + fraction * _HALF_PI_REST  # what r was rounded by
+    lost = fma(fraction, _HALF_PI, -r) + fraction * _HALF_PI_REST  # the rounding error of r
     sine, cosine = _of_remainder(r, np.int64(total))
     sine, cosine = fma(lost, cosine, sine), fma(-lost, sine, cosine)
     return -sine if x < 0.0 else sine, cosine

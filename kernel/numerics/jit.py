@@ -1,9 +1,9 @@
 """How kernel functions are declared, and how one is chosen by the type of its first argument.
 
 A function is compiled into its callers (`kernel.numerics.compilation`), and on its own when Python calls it.
-Where numba has changed what that rests on, or with BOUNCE_PLAIN_NJIT=1, `numba.njit` compiles the kernel:
-to the same numbers, more slowly and in each process anew.
-Every function also runs without compilation (NUMBA_DISABLE_JIT=1), for coverage and debugging.
+If numba's internals have changed, or with BOUNCE_PLAIN_NJIT=1, `numba.njit` compiles the kernel: to the same
+numbers, more slowly, and again in each process. Every function also runs without compilation
+(NUMBA_DISABLE_JIT=1), for coverage and debugging.
 """
 
 import functools
@@ -52,7 +52,7 @@ _ALLOCATING: Final[Any] = _PUBLIC if PLAIN else {**_PUBLIC, "_nrt": True}
 _OPTIONS: Final[Any] = _PUBLIC if PLAIN else {**_PUBLIC, "_nrt": False}
 _INLINED: Final[Any] = {**_OPTIONS, "forceinline": True}
 
-#: What numba's `overload` and `register_jitable` need beside.
+#: Further arguments of numba's `overload` and `register_jitable`.
 PIPELINE: Final[Any] = {} if PLAIN else {"pipeline_class": _compiler.Inner}
 
 
@@ -71,7 +71,7 @@ def jit(function: _Function) -> _Function:
 
 
 def is_compiled(function: Any, *arguments: Any) -> bool:
-    """Whether a call with such arguments compiles nothing, as far as it is known."""
+    """Whether a call with such arguments compiles nothing; True where that is unknown."""
     return not hasattr(function, "entry") or bool(function.entry.is_compiled(*arguments))
 
 

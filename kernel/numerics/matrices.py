@@ -8,9 +8,9 @@ import numpy as np
 from kernel.numerics.jit import allocating, jit
 from kernel.portable_math import atan2, hypot
 
-SQUARINGS: Final = 30  # leave of eigenvalues that differ by more than 1e-8 of themselves the largest
-DOUBLINGS: Final = 40  # of the terms of `contracting_norm` at most, 2**40 of them
-NEGLIGIBLE: Final = 1e-6  # part of the norm; a last half of the terms that is smaller ends the sum
+SQUARINGS: Final = 30  # leave only the largest of eigenvalues that differ by more than 1e-8, relative
+DOUBLINGS: Final = 40  # most doublings of the terms of `contracting_norm`, to 2**40
+NEGLIGIBLE: Final = 1e-6  # part of the norm below which the last half of the terms ends the sum
 REAL: Final = 1e-8  # relative residual below which a vector is an eigenvector, of a real eigenvalue
 VANISHES: Final = 1e-300  # an eigenvalue of this modulus is zero, whose angle is zero
 
@@ -170,7 +170,7 @@ def _polar(re: float, im: float) -> tuple[float, float]:
 def contracting_norm(a: Any, r: float, q: Any) -> None:
     """Overwrite q, so that |a x| <= r |x| in the norm |x|**2 = x q x, for r above all eigenvalues' moduli.
 
-    It is the sum of (a^T/r)**j (a/r)**j over all j, whose number is doubled.
+    q is the sum of (a^T/r)**j (a/r)**j over all j, summed by doubling the number of terms.
     """
     power, product, added = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     set_identity(q)

@@ -151,7 +151,7 @@ class Derivatives(NamedTuple):
     x2: float
     x3: float
     x4: float  # bound on |x''''|
-    size: float  # bound on |x|, and on what was added up for it
+    size: float  # bound on |x| and on the terms of its sum
 
 
 @inlined

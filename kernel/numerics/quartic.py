@@ -26,7 +26,7 @@ _NEWTON_ROUNDS: Final = 5  # on a quadratic, from errors of 1e-8; ends where a r
 
 
 class Factors(NamedTuple):
-    """(s^2 + a1 s + b1)(s^2 + a2 s + b2) with b1 <= b2, but for rounding."""
+    """(s^2 + a1 s + b1)(s^2 + a2 s + b2) with b1 <= b2, up to rounding."""
 
     a1: float
     b1: float
@@ -42,8 +42,8 @@ def roots(c3: float, c2: float, c1: float, c0: float) -> tuple[complex, complex,
     """
     unit = math.sqrt(math.sqrt(c0))  # in units of the geometric mean of the roots' sizes
     c3, c2, c1 = c3 / unit, c2 / (unit * unit), c1 / (unit * unit * unit)
-    # about the largest root and, from the reversed polynomial, the smallest, but for factors of order 1.
-    # The roots are damped, so that c1 <= c3 c2 and c3 <= c1 c2: no cube root of c1 or c3 is larger
+    # the largest root and, from the reversed polynomial, the smallest, up to factors of order 1. The roots
+    # are damped, so that c1 <= c3 c2 and c3 <= c1 c2: no cube root of c1 or c3 is larger
     large = max(c3, math.sqrt(c2), 1.0)
     small = 1.0 / max(c1, math.sqrt(c2), 1.0)
     z = [large * _FIRST_GUESS, large * _SECOND_GUESS, small * _FIRST_GUESS, small * _SECOND_GUESS]

@@ -36,23 +36,22 @@ IMPORTS: Final = 4
 #: Chunks of stores read at a time.
 CHUNKS: Final = 4
 
-#: Small reads of each kind computed at a time, in this process; bytes that they take until they are sent, and
-#: how many may wait.
+#: Small reads of each kind computed at a time, in this process; bytes of all until they are sent; and most
+#: that wait.
 SMALL_READS: Final = 2
 SMALL_MEMORY: Final = 128 * 2**20
 MOST_SMALL: Final = 1_000
 
-#: Of the API document, by which a service is recognised.
+#: Title of the API document, which identifies a service of this project.
 TITLE: Final = "bouncing-spring"
 
 
 def create_app(settings: Settings, executor: Executor, background: Background | None = None) -> FastAPI:
-    """The service as an ASGI application that computes jobs on `executor`; the caller closes both.
+    """The service as an ASGI application that computes jobs on `executor` and answers in the `background`.
 
-    Answers are computed in the `background`; without one, in this process.
-
-    Its startup raises DataFolderBusy if another service uses the data folder, LedgerUnusable if a newer
-    version wrote the ledger. Raises NotStarted for a file of tokens that cannot be used.
+    The caller closes both; without a `background` it answers in this process. Its startup raises
+    DataFolderBusy if another service uses the data folder, and LedgerUnusable if a newer version wrote the
+    ledger. Raises NotStarted for a file of tokens that cannot be used.
     """
     tokens = settings.access_tokens()
     metrics = Metrics()
@@ -63,7 +62,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         try:
             with ExitStack() as stack:
                 ledger = stack.enter_context(open_ledger(settings))
-                shutil.rmtree(settings.exports_path, ignore_errors=True)  # what a killed service left
+                shutil.rmtree(settings.exports_path, ignore_errors=True)  # left by a killed service
                 service = _service(settings, ledger, executor, background or InThisProcess(), metrics)
                 app.state.service = service
                 service.manager.start()
@@ -81,7 +80,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
-        generate_unique_id_function=attrgetter("name"),  # what a generated client calls it
+        generate_unique_id_function=attrgetter("name"),  # the name in a generated client
         dependencies=[Depends(reject_repeated_parameters)],
         lifespan=lifespan,
     )

@@ -34,15 +34,15 @@ PIECE: Final = 256 * 1024
 #: The logged status of a request whose client has left; the client never sees it.
 CLIENT_GONE: Final = 499
 
-#: After this many bytes of answers, return memory to the system once no answer is left.
+#: If answers took more than this many bytes, memory is returned to the system once no answer is left.
 MUCH: Final = 64 * 2**20
 
-#: Seconds that computing continues after the client has left: most answers finish by then, and ending
-#: one costs the process that computes it.
+#: Seconds that computing continues after the client has left: most answers finish by then, and ending one
+#: ends its process too.
 GRACE: Final = 1.0
 
-#: Limits of a small read: bytes of its answer, bytes of the chunks that it decodes, and their number. It
-#: takes some hundredths of a second.
+#: Limits of a small read, of some hundredths of a second: bytes of its answer, bytes of the chunks that it
+#: decodes, and their number.
 SMALL_ANSWER: Final = 2 * 2**20
 SMALL_CHUNKS: Final = 8 * 2**20
 FEW_CHUNKS: Final = 16
@@ -70,7 +70,7 @@ class Capacity:
         self._memory, self._timeout, self._max_waiting = memory, timeout, max_waiting
         self.used = self._most_used = 0  # bytes, now and at most since memory was last returned
         self.waiting: Counter[Activity] = Counter()
-        self._queues = {activity: asyncio.Lock() for activity in slots}  # its holder is next
+        self._queues = {activity: asyncio.Lock() for activity in slots}  # the holder of a lock is next
         self._released = asyncio.Event()
         self._threads = {
             activity: ThreadPoolExecutor(count, thread_name_prefix=f"costly-{activity}")
@@ -215,7 +215,7 @@ def costly(
 
 
 async def _leaves(gone: asyncio.Future[None], task: asyncio.Future[Any]) -> bool:
-    """Wait for the task; whether `gone`, that the client closes its connection, is done before it."""
+    """Wait for the task, or until the client is `gone`; whether it is gone."""
     try:
         await asyncio.wait({task, gone}, return_when=asyncio.FIRST_COMPLETED)
         return gone.done()

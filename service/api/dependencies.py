@@ -45,13 +45,13 @@ class Service:
     metrics: Metrics
 
     def audit_of(self, job: JobRecord) -> str | None:
-        """What the last audit of the job says."""
+        """The sentence of the job's last audit; None without one."""
         with self.ledger.reading() as ledger:
             return ledger.sentence(job, "audit")
 
     @cached_property
     def small(self) -> "Service":
-        """This service for small reads: with the places that are theirs, computing in this process."""
+        """This service for small reads: with their own capacity, and computing in this process."""
         return replace(self, capacity=self.small_reads, background=InThisProcess())
 
 
@@ -90,16 +90,16 @@ def tag(request: Request, *facts: object, weak: bool = False, headers: Any = Non
     own = f'"{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}"'
     request.state.tag = f"W/{own}" if weak else own
     candidates = request.headers.get("if-none-match", "").split(",")
-    if not {"*", own}.isdisjoint(each.strip().removeprefix("W/") for each in candidates):
+    if not {"*", own}.isdisjoint(candidate.strip().removeprefix("W/") for candidate in candidates):
         raise HTTPException(304, headers=headers)
 
 
 def _results_job(job: JobDep, service: ServiceDep, request: Request) -> JobRecord:
-    """The job, its results tagged if they are final."""
+    """The job; tags the response if its results are final."""
     jobs = [job, *(find_job(other, service) for other in request.query_params.getlist("other"))]
-    if all(each.state is JobState.DONE for each in jobs):
-        # What else is in an answer stays while this version of the service runs.
-        facts = [(each.id, each.seq, each.created, each.name, service.audit_of(each)) for each in jobs]
+    if all(read.state is JobState.DONE for read in jobs):
+        # with the version these determine an answer
+        facts = [(read.id, read.seq, read.created, read.name, service.audit_of(read)) for read in jobs]
         tag(request, *facts, request.app.version)
     return job
 
@@ -109,7 +109,7 @@ ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 
 
 def _store_job(job_id: str, service: ServiceDep, request: Request) -> JobRecord:
-    """As `_results_job`. Without the job 410, because readers of zarr take 404 for a chunk of fill values."""
+    """As `_results_job`, but 410 for an unknown job: readers of zarr take 404 for a chunk of fill values."""
     try:
         return _results_job(find_job(job_id, service), service, request)
     except UnknownJob as error:
@@ -121,14 +121,14 @@ StoreJob = Annotated[JobRecord, Depends(_store_job)]
 
 
 def stored(service: Service, job: JobRecord) -> Stored[Any]:
-    """What a job of any kind computes and where its results are."""
+    """The study of a job of any kind, and where its results are."""
     return registry.stored(job, service.manager.preparer.prepare(job))
 
 
 def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> Cost:
-    """The cost of a read whose answer takes `memory` beside BASE_MEMORY, of all chunks along some dimensions.
+    """The cost of a read whose answer takes `memory` beside BASE_MEMORY.
 
-    In every direction of a sweep.
+    It reads all chunks along some dimensions, in every direction of a sweep.
     """
     layout = service.manager.preparer.prepare(job).layout
     sizes = [(len(layout.coordinates[dim]), layout.chunk_sizes[dim]) for dim in (*along, "direction")
@@ -172,7 +172,7 @@ async def _page_body(request: Request, service: ServiceDep) -> AsyncIterator[byt
 
 
 def _check_declared(request: Request, kind: str, rule: str) -> None:
-    """Raise HTTPException unless the body is of a media type that forms of other web pages cannot send."""
+    """Raise HTTPException unless the body has this media type, which forms of web pages cannot send."""
     coding = request.headers.get("content-encoding", "identity")
     if coding.lower() != "identity":
         compressed = f"the body is compressed (Content-Encoding: {coding[:40]}): send it uncompressed"
@@ -183,7 +183,7 @@ def _check_declared(request: Request, kind: str, rule: str) -> None:
 
 
 async def _body(request: Request, service: ServiceDep, most: int, hint: str = "") -> bytes:
-    """The body. Raises HTTPException, and TooLarge as soon as that is known."""
+    """The body. Raises HTTPException if it is late, and TooLarge before reading all of a long one."""
     seconds = service.settings.body_seconds
     declared, body = request.headers.get("content-length", ""), bytearray()
     size = int(declared[:20]) if declared.isdecimal() else 0

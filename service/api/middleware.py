@@ -1,4 +1,4 @@
-"""What happens around every request: access control, headers of the response, HEAD, access log and metrics.
+"""Work around every request: access control, headers of the response, HEAD, access log and metrics.
 
 On loopback every local user may use the service. The Host check keeps out web pages of other origins, which
 could otherwise bind their domain name to 127.0.0.1 (DNS rebinding) and read the responses. A service that
@@ -44,7 +44,7 @@ _HEADERS: Final = {
     " frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
 }
 
-#: Statuses of requests whose body may still arrive: the connection closes.
+#: Statuses of requests whose body may not have been read: the connection closes.
 _UNREAD: Final = frozenset({408, 413, 415})
 
 #: For starlette's CORSMiddleware: what web pages of the origins in the settings may send and read.
@@ -60,8 +60,8 @@ CORS: Final[dict[str, Any]] = {
 class Gate:
     """Middleware: refuses requests with the wrong Host, Origin or token; completes and logs every response.
 
-    `tokens`: their names, by token; without any none is required. Web pages of the settings' `cors_origins`
-    may read and send a token, but change nothing. HEAD is answered as GET, for every route, without its body.
+    `tokens`: names by token; if empty, no token is required. Web pages of the settings' `cors_origins` may
+    read and send a token, but change nothing. HEAD gets the answer of GET without its body, for every route.
     """
 
     def __init__(
@@ -118,19 +118,19 @@ class Gate:
             await self._app(scope, receive, send)
 
     def _complete(self, answer: MutableHeaders, headers: Headers, status: int, scope: Scope) -> None:
-        """Add what every response has, and the tag of what it shows."""
+        """Add the headers of every response, and its tag if it has one."""
         for name, value in _HEADERS.items():
             answer.setdefault(name, value)
         if self._is_reader(headers):
             answer["Cross-Origin-Resource-Policy"] = "cross-origin"
-        # A request with both may end elsewhere than a proxy believes (RFC 9112, 6.1): it is the last one.
+        # a proxy may see another end of a request with both headers (RFC 9112, 6.1): it is the last one
         if status in _UNREAD or ("content-length" in headers and "transfer-encoding" in headers):
             answer["Connection"] = "close"
         if status in (200, 304) and "tag" in scope["state"]:
             answer.update({"ETag": scope["state"]["tag"], "Cache-Control": "no-cache"})
 
     def _record(self, method: str, scope: Scope, request_id: str, status: int, seconds: float) -> None:
-        """Write the line, without input that could forge a line or leak a secret."""
+        """Count and log the request, without input that could forge a line or leak a secret."""
         route = getattr(scope.get("route"), "path", "none")
         self._metrics.count_request(method, route, status, seconds)
         ms = round(1000 * seconds, 1)
@@ -141,7 +141,7 @@ class Gate:
         log.log(level, "request", extra={"fields": fields | ({"job": job[:64]} if job else {})})
 
     def _is_reader(self, headers: Headers) -> bool:
-        """Whether a web page of an origin in the settings asks."""
+        """Whether the request is from a web page of an origin in the settings."""
         origins = headers.getlist("origin")
         return len(origins) == 1 and origins[0] in self._origins
 
@@ -173,7 +173,7 @@ class Gate:
     def _check_token(self, values: list[str]) -> str | None:
         scheme, _, token = values[0].partition(" ") if len(values) == 1 else ("", "", "")
         sent = token.strip().encode()
-        # All are compared, each in constant time: the time taken reveals nothing.
+        # compares all, each in constant time: the time taken reveals nothing
         names = [name for accepted, name in self._tokens if hmac.compare_digest(sent, accepted)]
         if not names or scheme.lower() != "bearer":
             missing = "This service requires an access token. Send the header Authorization: Bearer TOKEN."

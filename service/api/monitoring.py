@@ -23,10 +23,7 @@ class Metrics:
         self.registry = CollectorRegistry()
         ProcessCollector(registry=self.registry)
         self._requests = Counter(
-            "bounce_http_requests",
-            "HTTP requests.",
-            ["method", "route", "status"],
-            registry=self.registry,
+            "bounce_http_requests", "HTTP requests.", ["method", "route", "status"], registry=self.registry
         )
         self._seconds = Histogram(
             "bounce_http_request_seconds",

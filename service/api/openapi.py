@@ -1,7 +1,7 @@
 """The API document: what FastAPI derives from the endpoints, with bodies, authentication and examples.
 
-It is OpenAPI 3.1 in the parts that generators of clients understand: no keyword of a later version, and
-defaults that are objects are told in the description.
+It is OpenAPI 3.1 in the parts that generators of clients understand: without keywords of a later version, and
+with defaults that are objects in the description.
 """
 
 import json
@@ -96,8 +96,8 @@ def document(app: FastAPI, *, needs_token: bool) -> dict[str, Any]:
 def _mended(part: dict[str, Any]) -> dict[str, Any]:
     """An object of the document in terms of OpenAPI 3.1.
 
-    A default that is an object is told in the description: generators of clients reject the field. It is kept
-    as `x-default`, an extension that they ignore, for the page's form.
+    A default that is an object moves to the description: generators of clients reject the field. The page's
+    form reads it from `x-default`, an extension that they ignore.
     """
     if part.pop("itemSchema", None) is not None:
         part["schema"] = {"description": "server-sent events"}

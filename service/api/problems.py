@@ -126,7 +126,7 @@ def _invalid(_: Request, error: Any) -> Response:
     return ProblemResponse(422, "; ".join(map(str, problems)), problems)
 
 
-#: Rules in words for what is checked by a pattern.
+#: The rules of parameters that are checked by a pattern.
 _PATTERNS: Final = {
     "cursor": "must be `next` of the page before",
     "idempotency-key": "must be made of ASCII characters, without spaces",
@@ -142,7 +142,7 @@ def _problem(entry: Mapping[str, Any]) -> Problem:
 
 
 def _http(request: Request, refusal: Any) -> Response:
-    """Refusals of `api` itself, and Starlette's 404 and 405, which have no detail of their own."""
+    """Refusals of `api` itself, and Starlette's 404 and 405, which lack a detail."""
     status, path = refusal.status_code, request.url.path
     if status == 304:
         return Response(status_code=status, headers=refusal.headers)

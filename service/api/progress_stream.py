@@ -31,9 +31,9 @@ class ProgressStream:
         self._closing = True
 
     async def changes(self, job_id: str) -> AsyncIterator[tuple[JobRecord, Compiling | None]]:
-        """The job and what is compiled for it, until it is finished or deleted, or the service stops.
+        """The job and the kernel compiled for it, now and after every change.
 
-        Now, and after every change.
+        Ends when the job is finished or deleted, or the service stops.
         """
         revision: tuple[object, ...] | None = None
         while not self._closing:
@@ -49,7 +49,7 @@ class ProgressStream:
             await asyncio.sleep(POLL_SECONDS)
 
     async def _find(self, job_id: str) -> JobRecord | None:
-        """The job; all that is asked for while a query runs is found by the one that follows."""
+        """The job, found by the next query, which serves all that ask while another query runs."""
         self._asked.add(job_id)
         if self._next is None:
             self._next = asyncio.ensure_future(self._query())

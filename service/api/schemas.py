@@ -76,7 +76,7 @@ class JobsQuery(Query):
 
     @property
     def jobs(self) -> JobSearch:
-        """What to look for."""
+        """The search for these jobs."""
         first, last = (
             None if time is None else time.timestamp() for time in (self.created_from, self.created_before)
         )
@@ -283,7 +283,7 @@ def job_view(
 ) -> JobView:
     """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.
 
-    `notice` stands in for the job's own.
+    `notice` replaces the job's own.
     """
     here = f"/v1/jobs/{job.id}"
     return JobView(
@@ -332,7 +332,7 @@ NOT_MODIFIED: Final[dict[int | str, dict[str, Any]]] = {
 
 
 def json_body(*names: str) -> dict[str, Any]:
-    """What the API document says of a body that is one of these models."""
+    """Entry of the API document for a body that is one of these models."""
     schemas = [{"$ref": f"#/components/schemas/{name}"} for name in names]
     schema = schemas[0] if len(schemas) == 1 else {"oneOf": schemas}
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}

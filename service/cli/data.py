@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.cli.options import data_option, default_url, url_option, was_default_or_variable
+from service.cli.options import data_option, default_url, names_url, url_option
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -106,7 +106,7 @@ def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
     if job is not None and not verify:
         raise click.UsageError("JOB needs --verify")
     settings = _settings(data)
-    if data is not None and was_default_or_variable("url"):
+    if data is not None and not names_url():
         url = default_url(settings.data)
     all_ok = True
     for finding in checks.verify(settings, job) if verify else checks.examine(settings, url):

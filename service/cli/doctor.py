@@ -1,4 +1,4 @@
-"""What `bounce doctor` looks at: versions, cores, kernel cache, disk, ledger, stores, service, results."""
+"""The checks of `bounce doctor`: versions, cores, kernel cache, disk, ledger, stores, service, results."""
 
 import os
 import shutil
@@ -46,7 +46,7 @@ def examine(settings: Settings, url: str) -> list[Finding]:
 def _contained(part: Callable[[Settings], Iterator[Finding]], settings: Settings) -> list[Finding]:
     try:
         return list(part(settings))
-    except Exception as error:  # noqa: BLE001 - whatever is wrong is what is asked for
+    except Exception as error:  # noqa: BLE001 - every error is a finding
         return [Finding(part.__name__.strip("_"), str(error) or type(error).__name__, ok=False)]
 
 
@@ -71,9 +71,9 @@ def _cache(_: Settings) -> Iterator[Finding]:
 
 def _disk(settings: Settings) -> Iterator[Finding]:
     for folder in settings.folders:
-        there = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
-        free = shutil.disk_usage(there).free
-        text = f"{folder}: {free / 1e9:.1f} GB free ({file_system(there)})"
+        existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        free = shutil.disk_usage(existing).free
+        text = f"{folder}: {free / 1e9:.1f} GB free ({file_system(existing)})"
         yield Finding("disk", text, free >= FREE_BYTES)
     if network := network_file_system(settings.data):
         text = f"{settings.data} is on a network file system ({network}): {NOT_LOCAL}"
@@ -95,18 +95,18 @@ def _ledger(settings: Settings) -> Iterator[Finding]:
 
 def _stores(settings: Settings) -> Iterator[Finding]:
     """Stores that the ledger does not know, that are missing, and leftovers of deletions."""
-    place, ledger = settings.stores_url, settings.ledger_path
-    names = set(store.names_in(place))
-    yield Finding("stores", f"{place}: {sum(name.endswith('.zarr') for name in names)} stores")
-    ours, known, lost = None, set[str](), list[str]()
+    url, ledger = settings.stores_url, settings.ledger_path
+    names = set(store.names_in(url))
+    yield Finding("stores", f"{url}: {sum(name.endswith('.zarr') for name in names)} stores")
+    marker, known, lost = None, set[str](), list[str]()
     if ledger.exists():
         with backup.reading(ledger) as reading:
-            (name, made), known = reading.marker(), reading.stores()
+            (own, made), known = reading.marker(), reading.stores()
             lost = [job.store for job in reading.search() if job.chunks_done and job.store not in names]
-        ours = name if made else None
-    if ours is not None and (there := store.read_marker(place)) != ours:
-        state = "is missing" if there is None else "is another ledger's"
-        yield Finding("stores", f"{place}: their marker {store.MARKER} {state}; see /readyz", ok=False)
+        marker = own if made else None
+    if marker is not None and (stored := store.read_marker(url)) != marker:
+        state = "is missing" if stored is None else "is another ledger's"
+        yield Finding("stores", f"{url}: their marker {store.MARKER} {state}; see /readyz", ok=False)
     if lost:
         text = f"{len(lost)} are missing, such as {lost[0]}: put them back, or run bounce doctor --verify"
         yield Finding("stores", text, ok=False)
@@ -122,9 +122,9 @@ def _stores(settings: Settings) -> Iterator[Finding]:
 
 
 def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
-    """Read all results of a job, or of all jobs; have what is damaged computed again at the next start.
+    """Read all results of a job, or of all jobs; damaged ones are computed again at the next start.
 
-    Where a service uses the folder, damage is only named. Raises UnknownJob.
+    Only names the damage while a service uses the folder. Raises UnknownJob.
     """
     if not settings.ledger_path.exists():
         yield from _ledger(settings)
@@ -149,7 +149,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
 def _verify(
     preparer: JobPreparer, ledger: Ledger | None, job: JobRecord, done: list[int]
 ) -> tuple[str, bool]:
-    """Read a job's `done` chunks; what is damaged, and whether nothing is."""
+    """Read a job's `done` chunks; a sentence on the damage, and whether there is none."""
     try:
         prepared = preparer.prepare(job)
         if ledger is not None:

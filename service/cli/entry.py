@@ -1,8 +1,8 @@
-"""The program `bounce`: its commands, which signals end at any moment.
+"""The program `bounce`, which signals end at any moment.
 
 SIGINT, SIGTERM and SIGHUP mean exit code 128 + the signal and no traceback, also while modules are imported,
-kernels compiled and workers started. A command that is not at its end soon after is ended: results on the
-disk are whole at any moment. `bounce serve` handles SIGINT and SIGTERM itself.
+kernels compiled and workers started. A command that takes long to end is killed: results on the disk are
+complete at any moment. `bounce serve` handles SIGINT and SIGTERM itself.
 """
 
 import logging
@@ -27,10 +27,10 @@ GRACE_SECONDS: Final = 1.2
 def main() -> None:
     """Run the command that the arguments name."""
     for number in _SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup, and by scripts beside which it runs
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored under nohup and in a script's background
             signal.signal(number, _end)
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
-        sys.stdout.reconfigure(errors="backslashreplace")  # letters that its encoding lacks
+        sys.stdout.reconfigure(errors="backslashreplace")  # for letters that the encoding lacks
     code: object = None
     try:
         from service.cli.main import main as command
@@ -77,8 +77,8 @@ def _end_now(code: int, *_: object) -> None:
 def _remove_semaphores() -> None:
     """Remove the semaphores that this process shares with those that it has started.
 
-    A process that ends in this way runs no finalizers, and multiprocessing's tracker would remove what is
-    left with a warning on the terminal. Other finalizers may wait for threads: they are not run.
+    `os._exit` runs no finalizers, and multiprocessing's tracker would remove the semaphores with a warning on
+    the terminal. Other finalizers may wait for threads: they are not run.
     """
     if "multiprocessing.synchronize" not in sys.modules:  # nothing was shared
         return

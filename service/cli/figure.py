@@ -1,4 +1,4 @@
-"""The commands that make pictures without a service that runs: figure, tradeoff."""
+"""The commands that make pictures without a running service: figure, tradeoff."""
 
 import secrets
 from collections.abc import Iterator
@@ -49,7 +49,7 @@ def figure(
     from service.client import Client
     from service.figures import catalogue
 
-    if data is not None and not options.was_default_or_variable("url"):
+    if data is not None and options.names_url():
         raise click.UsageError("--data names the folder of a local service, --url another service: give one")
     figures = catalogue.figures(number)
     if number == "all":
@@ -117,12 +117,12 @@ def tradeoff(output: str | None) -> None:
     use_cache()
     counts = (0, len(tradeoff.SETTINGS))
 
-    def show(measured: int, all_of_them: int) -> None:
+    def show(measured: int, total: int) -> None:
         nonlocal counts
-        counts = (measured, all_of_them)
+        counts = (measured, total)
 
     with display_elapsed(lambda: "measured {} of {} contacts".format(*counts)):
-        found = tradeoff.measure(tradeoff.SETTINGS, show)
-    click.echo(table(found, ["cost"]), err=output == "-")
+        results = tradeoff.measure(tradeoff.SETTINGS, show)
+    click.echo(table(results, ["cost"]), err=output == "-")
     if output and format:
-        options.write_file(output, encoded(tradeoff.VIEW, None, found, format))
+        options.write_file(output, encoded(tradeoff.VIEW, None, results, format))

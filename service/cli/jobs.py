@@ -158,13 +158,13 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
         format = output_format(output, (*get_args(DatasetFormat), *PICTURES))
         write_file(output, client.plan_file(specification, format, **query))
         return
-    found = client.plan(specification, **query)
-    rows = found.to_dataframe().reset_index(drop=True)
+    settings = client.plan(specification, **query)
     if as_json:
+        rows = settings.to_dataframe().reset_index(drop=True)
         rows["spec"] = [json.loads(text) for text in rows["spec"]]
         click.echo(json_text({"rows": rows.to_dict("records")}))
     else:
-        click.echo(table(found.drop_vars("spec"), ["share"]))
+        click.echo(table(settings.drop_vars("spec"), ["share"]))
 
 
 @click.command("import")
@@ -326,7 +326,7 @@ COMMANDS: Final = (
 
 
 def _specification(spec: str, effort: str | None = None) -> "Mapping[str, Any]":
-    """What a file, or - for standard input, contains."""
+    """The specification in a file, or for - in standard input, with this effort if given."""
     from service.client.specification import read
 
     fields = read(Path(spec) if spec != "-" else sys.stdin.buffer.read())

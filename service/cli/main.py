@@ -57,15 +57,15 @@ def serve(**options: str | int | None) -> None:
     from service.settings import read_settings
 
     settings = read_settings(**options)
-    there = settings.scheduler or settings.scheduler_file
-    doing = f"connecting to the scheduler {there}" if there else "starting workers"
+    scheduler = settings.scheduler or settings.scheduler_file
+    stage = f"connecting to the scheduler {scheduler}" if scheduler else "starting workers"
     with ExitStack() as starting:
 
         def announce(line: str) -> None:
             starting.close()
             click.echo(line)
 
-        starting.enter_context(display_elapsed(doing, after=5.0))
+        starting.enter_context(display_elapsed(stage, after=5.0))
         embedded.serve(settings, announce)
 
 
@@ -107,7 +107,7 @@ def open_page(client: "Client", print_only: bool) -> None:
 
 
 def _handed_over(address: str) -> str:
-    """The address of a file that leads to this one: every user can see the options of a browser's process."""
+    """The address of a file that leads to `address`: all users can see the options of a browser's process."""
     from html import escape
 
     if "#" not in address:
@@ -122,7 +122,7 @@ def _handed_over(address: str) -> str:
     return file.as_uri()
 
 
-#: The commands in groups, in the order of `bounce --help`, and what follows their names in an example.
+#: The commands in groups, in the order of `bounce --help`, with the arguments of an example.
 GROUPS: Final = {
     "Sweeps": {
         "submit": "sweep.toml --wait", "plan": "sweep.toml --budget 5m", "run": "sweep.toml -o sweep.zarr",

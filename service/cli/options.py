@@ -1,4 +1,4 @@
-"""What the commands of `bounce` share: error messages, common options, output files."""
+"""Error messages, common options and output files of the commands of `bounce`."""
 
 import errno
 import os
@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from datetime import datetime
 from functools import wraps
 from inspect import cleandoc
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -20,7 +21,7 @@ from service.tokens import DEFAULT_URL, data_folder, find_service
 if TYPE_CHECKING:
     from service.client import Client
 
-#: When this process began to import: the budget of a command counts from here.
+#: When this process imported this module, early: the budget of a command counts from here.
 BEGAN: Final = time.monotonic()
 
 #: The project's packages.
@@ -77,7 +78,7 @@ class CommandGroup(click.Group):
     def arrange(self, groups: "Mapping[str, Mapping[str, str]]") -> None:
         """List the commands in these groups, and put the example of each below the head of its help."""
         self._groups = groups
-        for name, example in (each for group in groups.values() for each in group.items()):
+        for name, example in chain.from_iterable(group.items() for group in groups.values()):
             command = self.commands[name]
             head, _, rest = cleandoc(command.help or "").partition("\n\n")
             shown = f"bounce {name} {example}".rstrip()
@@ -165,10 +166,9 @@ def with_job(function: Callable[..., None]) -> Callable[..., None]:
     return job_argument(with_client(run))
 
 
-def was_default_or_variable(option: str) -> bool:
-    """Whether an option of the running command was not given on the command line."""
-    source = click.get_current_context().get_parameter_source(option)
-    return source is not ParameterSource.COMMANDLINE
+def names_url() -> bool:
+    """Whether the command line of the running command has the option --url."""
+    return click.get_current_context().get_parameter_source("url") is ParameterSource.COMMANDLINE
 
 
 def format_option(*formats: str) -> Callable[[Command], Command]:

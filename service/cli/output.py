@@ -15,9 +15,6 @@ def as_json(content: object) -> str:
     return json.dumps(content, indent=2, ensure_ascii=False)
 
 
-# Jobs
-
-
 def job_report(job: "Job") -> str:
     """The status of a job, one property per line."""
     progress = job.progress
@@ -49,7 +46,7 @@ def job_table(jobs: Sequence["Job"]) -> str:
 
 
 def estimate_line(estimate: "Estimate") -> str:
-    """The estimated cost of a sweep, in time on the workers that there are."""
+    """The estimated cost of a sweep, in time on the present workers."""
     from rich.filesize import decimal
 
     def time(core_seconds: float | None) -> str:
@@ -71,7 +68,7 @@ def estimate_line(estimate: "Estimate") -> str:
     )
 
 
-#: What an estimate is from. Where nothing was computed yet, neither is the kernel compiled.
+#: The sources of an estimate. Where nothing was computed yet, the kernel may not be compiled either.
 _BASES: Final = {
     "measured": "from recent jobs",
     "table": "from the table of costs; the kernel is compiled first, unless the cache has it",

@@ -1,6 +1,6 @@
-"""The commands on results: `bounce NAME ID` for every one of a job, `bounce NAME` for every one of a spring.
+"""The commands on results: `bounce NAME ID` for results of a job, `bounce NAME` for results of a spring.
 
-Their options are the parameters of the client's methods. Beside them export and trajectory.
+Their options are the parameters of the client's methods. Also export, share and trajectory.
 """
 
 import json
@@ -32,36 +32,37 @@ measured_points = click.option(
     help="CSV file of measured points, drawn over a picture: gamma or omega, flight_time in rad or "
     "flight_time_ms and frequency in Hz (over thresholds omega and gamma), perhaps error.",
 )  # fmt: skip
-#: Digits of numbers in a table, fewer where it is wider: thresholds are refined to 1e-9.
+#: Digits of numbers in a table, fewer in a wide one: thresholds are refined to 1e-9.
 DIGITS: Final = 10
-#: Letters of a line of a table, and of a text in it; points of a curve.
+#: Most letters of a line of a table, and of a text in it; most points of a curve.
 WIDTH: Final = 100
 LONG: Final = 40
 POINTS: Final = 12
 
 
 def command(name: str) -> click.Command:
-    """The command of one result, of a job, or without an ID of a spring."""
+    """The command of one result: of a job, or without an ID of a spring."""
     kinds = [methods for methods in (ResultMethods, SpringMethods) if name in methods.RESULTS]
 
     def run(
         client: "Client", output: str | None, format: str | None, job_id: str | None = None,
         data: str | None = None, **query: Any,
     ) -> None:  # fmt: skip
-        of = kinds[-1] if job_id is None else kinds[0]
-        missing = [f"--{each}" for each, about in _parameters(of, name).items() if _is_missing(about, query)]
-        if missing:
+        methods = kinds[-1] if job_id is None else kinds[0]
+        parameters = _parameters(methods, name)
+        required = (field for field, about in parameters.items() if about.default is Parameter.empty)
+        if missing := [_option_name(field) for field in required if query[field] is None]:
             other = " or the ID of a job" if len(kinds) > 1 else ""
             raise click.UsageError(f"give {' and '.join(missing)}{other}")
-        for each, value in query.items():
-            if value is not None and each not in _parameters(of, name):
+        for field, value in query.items():
+            if value is not None and field not in parameters:
                 where = "without the ID of a job" if job_id else "with the ID of a job"
-                alike = [f"--{other.replace('_', '-')}" for other in _parameters(of, name) if each in other]
-                hint = f"; give {' and '.join(alike)}" if alike else ""
-                raise click.UsageError(f"--{each.replace('_', '-')} is only {where}{hint}")
+                similar = [_option_name(other) for other in parameters if field in other]
+                hint = f"; give {' and '.join(similar)}" if similar else ""
+                raise click.UsageError(f"{_option_name(field)} is only {where}{hint}")
         if query.get("effort") is not None and not query.get("search"):
             raise click.UsageError("--effort is only with --search")
-        formats, printed = of.RESULTS[name]
+        formats, printed = methods.RESULTS[name]
         file_format = None if output is None else options.output_format(output, formats, format)
         if data is not None and (job_id is None or file_format not in PICTURES):
             raise click.UsageError(f"--data needs the ID of a job, and -o with one of {', '.join(PICTURES)}")
@@ -78,9 +79,9 @@ def command(name: str) -> click.Command:
         if job is not None:
             _warn_unless_done(job, "the result may be incomplete")
 
-    texts = (cleandoc(getattr(of, name).__doc__).partition("\n\nReturns a Dataset ")[0] for of in kinds)
+    texts = (cleandoc(getattr(kind, name).__doc__).partition("\n\nReturns a Dataset ")[0] for kind in kinds)
     text = "\n\nWithout ID:\n\n".join(texts).replace("\n\n- ", "\n\n\b\n- ")  # lists keep their lines
-    every_format = dict.fromkeys(format for of in kinds for format in of.RESULTS[name][0])
+    every_format = dict.fromkeys(format for kind in kinds for format in kind.RESULTS[name][0])
     decorated = options.with_client(run)
     decorated = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
@@ -107,7 +108,7 @@ def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any
     if "caption" in result.attrs:
         axes.set_title("")
         draw_caption(axes, result)
-    origin = {each: result.attrs[each] for each in ("job", "kernel_version", "release")}
+    origin = {fact: result.attrs[fact] for fact in ("job", "kernel_version", "release")}
     origin["spec"] = json.dumps(job.spec, ensure_ascii=False)
     about = metadata(format, origin)
     axes.get_figure(root=True).savefig(file, format=format, bbox_inches="tight", metadata=about)
@@ -116,35 +117,36 @@ def _picture(job: "Job", name: str, data: str, format: str, query: dict[str, Any
 
 def query_options(*kinds: type[Methods], name: str) -> Callable[[options.Command], options.Command]:
     """The options that are the parameters of a result."""
-    parameters = {each: about for of in kinds for each, about in _parameters(of, name).items()}
+    parameters = {field: about for kind in kinds for field, about in _parameters(kind, name).items()}
 
     def decorate(command: options.Command) -> options.Command:
-        for each, about in reversed(parameters.items()):
-            command = _option(each, about.annotation, about.default)(command)
+        for field, about in reversed(parameters.items()):
+            command = _option(field, about.annotation, about.default)(command)
         return command
 
     return decorate
 
 
 def _parameters(methods: type[Methods], name: str) -> dict[str, Parameter]:
-    """Those of the query: a command waits for workers as long as the client does by default."""
-    parameters = signature(getattr(methods, name)).parameters
-    return {each: about for each, about in parameters.items() if each not in ("self", "timeout", "progress")}
+    """The parameters of a query: a command waits for workers as long as the client does by default."""
+    others = ("self", "timeout", "progress")
+    fields = signature(getattr(methods, name)).parameters.items()
+    return {field: about for field, about in fields if field not in others}
 
 
-def _is_missing(about: Parameter, query: dict[str, Any]) -> bool:
-    return about.default is Parameter.empty and query[about.name] is None
+def _option_name(field: str) -> str:
+    return f"--{field.replace('_', '-')}"
 
 
-def _option(name: str, hint: Any, default: object) -> Any:
-    """The service checks bounds, and has the defaults."""
+def _option(field: str, hint: Any, default: object) -> Any:
+    """The option for a parameter. The service checks bounds, and has the defaults."""
     hint, help = get_args(hint) if get_origin(hint) is Annotated else (hint, "")
     if default not in (None, True, False, Parameter.empty):
         help += f"  [default: {default}]"
     kinds = (hint,) if get_origin(hint) is Literal else (get_args(hint) or (hint,))
-    option = f"--{name.replace('_', '-')}"
+    option = _option_name(field)
     if kinds[0] is bool:
-        flag = f"{option}/--no-{name.replace('_', '-')}" if default is True else option
+        flag = f"{option}/{_option_name(f'no-{field}')}" if default is True else option
         return click.option(flag, is_flag=True, default=None, help=help)
     choice = click.Choice(get_args(kinds[0])) if get_origin(kinds[0]) is Literal else kinds[0]
     return click.option(option, type=choice, help=help)
@@ -157,7 +159,7 @@ _COMMON: Final = ("Conventions", "title", "job", "kernel_version", "release", "c
 def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
     """A table for each variable of `rows`, then the scalars and attributes, one line each.
 
-    An axis of one value that no table has is a scalar. Leaves out what has no value: columns, scalars.
+    An axis of one value that is in no table is a scalar. Leaves out columns and scalars without a value.
     """
     from math import isfinite
 
@@ -178,9 +180,9 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
 
 
 def _rows(result: "xarray.Dataset", rows: str) -> str:
-    """The variables over dimensions of the variable `rows`, in WIDTH columns: long texts stand below.
+    """A table of the variables over the dimensions of `rows`, at most WIDTH wide, with long texts below.
 
-    Of the points of a curve every n-th.
+    Shows every n-th point of a curve.
     """
     dims = {*map(str, result[rows].dims)}
     result, every = result.reset_coords(), 1
@@ -188,8 +190,8 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
         every = -(-result.sizes["point"] // POINTS)
         result = result.isel(point=slice(None, None, every))
     if "lyapunov" in result and "exponent" not in dims:
-        each = enumerate(result.lyapunov.transpose("exponent", ...), 1)
-        result = result.assign({f"lyapunov_{i}": part for i, part in each})
+        exponents = enumerate(result.lyapunov.transpose("exponent", ...), 1)
+        result = result.assign({f"lyapunov_{i}": exponent for i, exponent in exponents})
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
     frame = result[names].to_dataframe()
     for name in names:
@@ -203,25 +205,25 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
         frame = frame[frame[_without(prefixes, rows)].notna()]
     if frame.empty:
         return f"{'  '.join([*map(str, frame.index.names), *frame.columns])}: none"
-    frame = frame.loc[:, [not (each.isna() | (each == "")).all() for _, each in frame.items()]]
+    frame = frame.loc[:, [not (values.isna() | (values == "")).all() for _, values in frame.items()]]
     notes = [f"one point of {every} is shown: -o writes all"] if every > 1 else []
-    for column in frame.columns[[each.astype(str).str.len().max() > LONG for _, each in frame.items()]]:
+    for column in frame.columns[[values.astype(str).str.len().max() > LONG for _, values in frame.items()]]:
         texts = frame.pop(column)
-        notes += [f"{_place(texts.index.names, at)}: {text}" for at, text in texts.items() if text]
+        notes += [f"{_place(texts.index.names, index)}: {text}" for index, text in texts.items() if text]
     words = frame.select_dtypes(exclude="number")
-    alike = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
+    constant = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
     for narrower, digits in ((False, DIGITS), *((True, digits) for digits in range(DIGITS, 5, -1))):
-        shown = frame.drop(columns=alike if narrower else []).reset_index()
+        shown = frame.drop(columns=constant if narrower else []).reset_index()
         lines = shown.to_string(index=False, na_rep="-", float_format=f"{{:.{digits}g}}".format).splitlines()
         if max(map(len, lines)) <= WIDTH:
             break
-    notes = [*(f"{name}  {words[name].iloc[0]}" for name in alike if narrower), *notes]
+    notes = [*(f"{name}  {words[name].iloc[0]}" for name in constant if narrower), *notes]
     return "\n".join([*lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in notes)])
 
 
-def _place(names: Sequence[Any], at: Any) -> str:
-    """A place in the index of a table."""
-    values = at if isinstance(at, tuple) else (at,)
+def _place(names: Sequence[Any], index: Any) -> str:
+    """The names and values of an index, such as `gamma 2.5, omega 0.6`."""
+    values = index if isinstance(index, tuple) else (index,)
     shown = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in values)
     return ", ".join(f"{name} {value}" for name, value in zip(names, shown, strict=True))
 
@@ -314,7 +316,7 @@ COMMANDS: Final = (
 
 
 def _warn_unless_done(job: "Job", consequence: str) -> None:
-    """Say what the reader of a job's results must know, on standard error."""
+    """Warn on standard error about a job's notice, and about results that are not complete."""
     if job.notice:
         click.echo(f"the job is {job.notice}", err=True)
     if job.state != "done":

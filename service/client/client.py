@@ -160,7 +160,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                 last = levels[-1]
                 try:
                     last._refresh_in_time()
-                except errors.NotFound:  # somebody has deleted it; another level says how far the budget is
+                except errors.NotFound:  # it was deleted; another level says how far the budget is
                     levels.pop()
                     if not levels:
                         raise
@@ -173,7 +173,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                     display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
                 if reached["over"]:
                     break
-                # What others asked for goes on beyond its time.
+                # a job that others want goes on beyond its time
                 with suppress(errors.JobCancelled, errors.JobFailed, errors.WaitTimeout, errors.NotFound):
                     if reached["computing"] not in (None, last.id):
                         last = self.job(reached["computing"])

@@ -1,8 +1,7 @@
 """Results as xarray Datasets, read from the service's form; `dataset.bounce`: flights as a table, and a plot.
 
-An accessor, as other packages on xarray have one: results stay plain Datasets, with all of xarray's own
-methods, and these two answer for a diagram, a map, thresholds and a whole sweep alike. Nothing is shown or
-saved: that is the caller's part, as with `xarray.Dataset.plot`.
+Results stay plain Datasets with all of xarray's own methods. The accessor serves diagrams, maps, thresholds
+and whole sweeps alike. The caller shows or saves plots, as with `xarray.Dataset.plot`.
 """
 
 import json
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from service.client.measured import Data
 
-#: What a table of flights says of their cells.
+#: Columns of a table of flights that describe their cells.
 _OF_CELLS: Final = ("outcome", "label", "lyapunov_error", "bounces", "periods", "flight_error", "multiplier")
 
 _DTYPES: Final = frozenset({"bool", "str", "uint8", "int32", "int64", "float32", "float64", "complex128"})
@@ -63,7 +62,7 @@ def _variable(about: Mapping[str, Any], content: memoryview, sizes: Mapping[str,
         values = np.frombuffer(content, dtype, prod(shape), offset).reshape(shape)
     else:
         values = np.array(data, dtype)
-    if not values.size:  # JSON tells the length of the first dimension only
+    if not values.size:  # JSON has the length of the first dimension only
         values = values.reshape([sizes[dim] for dim in about["dims"]])
     attrs = {
         name: np.array(x, values.dtype) if isinstance(x, list) else x for name, x in about["attrs"].items()
@@ -72,7 +71,7 @@ def _variable(about: Mapping[str, Any], content: memoryview, sizes: Mapping[str,
 
 
 class BounceAccessor:
-    """What results can be asked beyond xarray's own methods."""
+    """The methods of results beyond xarray's own."""
 
     def __init__(self, dataset: xarray.Dataset) -> None:
         self._dataset = dataset
@@ -93,22 +92,20 @@ class BounceAccessor:
         cells = [str(dim) for dim in dataset.flight_time.dims if dim != "flight"]
         times = dataset.flight_time.transpose(*cells, "flight").values
         phases = dataset.takeoff_phase.transpose(*cells, "flight").values
-        *where, place = np.nonzero(np.isfinite(times))
+        *cell, flight = np.nonzero(np.isfinite(times))
         columns: dict[str, Any] = {}
         for axis in ("gamma", "omega", "xi", "direction"):
             if axis in cells:
-                columns[axis] = dataset[axis].values[where[cells.index(axis)]]
+                columns[axis] = dataset[axis].values[cell[cells.index(axis)]]
             elif axis in dataset.coords:
-                columns[axis] = np.repeat(dataset[axis].values, len(place))
+                columns[axis] = np.repeat(dataset[axis].values, len(flight))
         columns["direction"] = pandas.Categorical([str(way) for way in columns["direction"].tolist()])
         columns |= {
-            "flight": place,
-            "flight_time": times[*where, place],
-            "takeoff_phase": phases[*where, place],
-        }
+            "flight": flight, "flight_time": times[*cell, flight], "takeoff_phase": phases[*cell, flight],
+        }  # fmt: skip
         for name in _OF_CELLS:
             if name in dataset:
-                codes = dataset[name].transpose(*cells).values[*where]
+                codes = dataset[name].transpose(*cells).values[*cell]
                 meanings = dataset[name].attrs.get("flag_meanings", "").split()
                 columns[name] = pandas.Categorical.from_codes(codes, meanings) if meanings else codes
         return pandas.DataFrame(columns)
@@ -124,23 +121,21 @@ class BounceAccessor:
     ) -> "Axes":
         """Plot a diagram, a map of modes, thresholds, branches, or a part of a whole sweep with matplotlib.
 
-        `where` selects of a whole sweep: `gamma`, `omega`, `xi` to the nearest grid value, `direction` up or
-        down. What is left must be a line, drawn as a diagram, or a plane of Γ and Ω, drawn as a map.
+        `where` selects a part of a whole sweep: `gamma`, `omega`, `xi` to the nearest grid value, `direction`
+        up or down. The part must be a line, drawn as a diagram, or a plane of Γ and Ω, drawn as a map.
         `branches`, `data`, `frequency` and `ax` as of `Job.plot`. Returns the axes. Raises BounceError naming
         what to select.
         """
         from service.client.measured import measured
 
         dataset = _selected(self._dataset, where)
-        at = {
-            axis: dataset[axis].item()
-            for axis in set(pictures.AXES) & set(dataset.coords) - set(dataset.dims)
-        }
+        scalars = set(pictures.AXES) & set(dataset.coords) - set(dataset.dims)
+        selected = {axis: dataset[axis].item() for axis in scalars}
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:
             pictures.draw_thresholds(ax, dataset)
             if data is not None:
-                points = measured(data, "omega", "gamma", at)
+                points = measured(data, "omega", "gamma", selected)
                 computed = [dataset[name].values for name in ("up", "down", "analytic", "predicted_down")]
                 pictures.draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
             return ax
@@ -159,7 +154,7 @@ class BounceAccessor:
             if data is not None:
                 along = pictures.along_of(dataset)
                 flights = dataset.flight_time.transpose(along, ...).values
-                points = measured(data, along, "flight_time", at, frequency)
+                points = measured(data, along, "flight_time", selected, frequency)
                 pictures.draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
                 return ax
         elif dims == {"gamma", "omega"}:

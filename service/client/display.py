@@ -24,7 +24,7 @@ LINE_SECONDS: Final = 10.0
 
 @contextmanager
 def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[Any], None]]:
-    """A function that shows a job: `progress` itself if it is a function, one without effect if False."""
+    """A function that shows a job: `progress` itself if it is a function; if False, one without effect."""
     if callable(progress):
         yield progress
     elif not progress:
@@ -40,7 +40,7 @@ def display_job(progress: bool | Callable[[Any], None]) -> Iterator[Callable[[An
 
 @contextmanager
 def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterator[None]:
-    """Report an operation from `after` seconds on, with the seconds so far, and at its end what it took.
+    """Report an operation from `after` seconds on, with the seconds so far, and its duration at the end.
 
     On a terminal the seconds are counted in place; elsewhere a line is written every LINE_SECONDS.
     """
@@ -69,7 +69,7 @@ def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterat
 def display_parts(
     progress: bool | PartsCallback, verb: str = "computed", parts: str = "parts"
 ) -> PartsCallback:
-    """The same for an answer in parts, or for several jobs: a line first, then every `LINE_PERCENT`."""
+    """A function that shows an answer in parts, or several jobs: a line first, then every `LINE_PERCENT`."""
     if callable(progress):
         return progress
     last: int | None = None
@@ -142,7 +142,7 @@ def time_left(job: JobStatus) -> str:
 
 
 class _Grown:
-    """Says why the time left of a job became twice as long, for some seconds."""
+    """Says for some seconds why the time left of a job became twice as long."""
 
     def __init__(self) -> None:
         self._end, self._until = float("inf"), 0.0

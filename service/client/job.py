@@ -53,7 +53,7 @@ class ResultReader(ABC):
         """
         from service.client.dataset import from_binary
 
-        if "other" in query:  # a job may be named by itself
+        if "other" in query:  # a Job, or its id
             query["other"] = getattr(query["other"], "id", query["other"])
         return from_binary(self.result_file(name, "bin", **query))
 
@@ -264,11 +264,12 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         from service.client.measured import element
 
-        if Path(path).suffix != ".html":
+        target = Path(path)
+        if target.suffix != ".html":
             raise BounceError(f"{path}: the name of a page ends in .html")
         points = "" if data is None else element(data)
-        self._transport.download(self._path("export"), {"format": "html"}, Path(path), points.encode())
-        return Path(path)
+        self._transport.download(self._path("export"), {"format": "html"}, target, points.encode())
+        return target
 
     def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
         """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.
@@ -354,10 +355,10 @@ class Job(ResultReader, ResultMethods, JobStatus):
         elif kind in ("diagram", "exponents") and "along" not in selection and long and "gamma" not in long:
             selection["along"] = long[0]
         if kind == "return":
-            at = selection.pop("gamma", None)
-            if at is None and "gamma" in long:
+            gamma = selection.pop("gamma", None)
+            if gamma is None and "gamma" in long:
                 raise BounceError("gamma: is required, of the cell whose flights are drawn")
-            accessor = self.diagram(**selection, start=at, stop=at).bounce
+            accessor = self.diagram(**selection, start=gamma, stop=gamma).bounce
             axes: Axes = accessor.plot_returns(ax=ax)
         elif kind == "exponents":
             axes = self.result("diagram", **selection).bounce.plot_exponents(ax=ax)
@@ -367,7 +368,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         return axes
 
     def _refresh_in_time(self) -> None:
-        """Refresh, for a while also without a service; then become the job that replaces this one, if any."""
+        """Refresh, waiting for an absent service; become the job that replaces this one, if any."""
         deadline = time.monotonic() + MAX_OUTAGE
         while True:
             if self._is_replaced():
@@ -410,7 +411,7 @@ def raise_unless_done(job: JobStatus) -> None:
 def until_ended(
     jobs: Iterable[Job], timeout: float | None, show: Callable[[Job], None] = lambda job: None
 ) -> Iterator[Job]:
-    """The jobs as they end; `show` gets each as it is now and after every request.
+    """The jobs as they end; calls `show` with a job now and after every request.
 
     Raises WaitTimeout, ServiceUnreachable.
     """

@@ -36,10 +36,10 @@ def measured(
 ) -> Measured:
     """The points of `data` over the axis `along`, of a `value`: "flight_time" in rad, or "gamma".
 
-    Those with columns of other values than `at` has of its axes are left out.
+    Leaves out points whose columns differ from the values `at` of other axes.
 
     Flight times are in rad of the plate (`flight_time`), or in ms (`flight_time_ms`) with the plate's
-    frequency in Hz, given or as a column. `error` has the unit of what it is of. Raises BounceError naming
+    `frequency` in Hz as an argument or a column. `error` has the unit of its value. Raises BounceError naming
     the column, or the row, from 1.
     """
     table = _table(data)
@@ -54,14 +54,14 @@ def measured(
             also = " or flight_time_ms" if name == "flight_time" else ""
             raise BounceError(f"data: needs the column {name}{also}; it has {', '.join(map(str, table))}")
     error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
-    here = np.ones(len(table), bool)
+    inside = np.ones(len(table), bool)
     for name in at.keys() & set(table):
-        here &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
-    if not here.any():
-        said = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
-        raise BounceError(f"data: no point is at {said}")
+        inside &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
+    if not inside.any():
+        place = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
+        raise BounceError(f"data: no point is at {place}")
     columns = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
-    return Measured(*(column[here] for column in columns))
+    return Measured(*(column[inside] for column in columns))
 
 
 def element(data: Data) -> str:
@@ -80,7 +80,7 @@ def _table(data: Data) -> "pandas.DataFrame":
     if isinstance(data, str | PathLike):
         try:
             data = pandas.read_csv(data, comment="#", skipinitialspace=True, nrows=MOST_ROWS + 1)
-        except ValueError as error:  # one on parsing says the line
+        except ValueError as error:  # a ParserError names the line
             why = f": {error}" if isinstance(error, pandas.errors.ParserError) else ""
             raise BounceError(f"data: {data} is no table of columns with commas{why}") from None
     try:
@@ -100,6 +100,6 @@ def _numbers(table: "pandas.DataFrame", name: str) -> NDArray[np.float64]:
     numbers = pandas.to_numeric(table[name], errors="coerce").to_numpy(float)
     wrong = np.flatnonzero(~np.isfinite(numbers) & table[name].notna().to_numpy())
     if len(wrong):
-        said = str(table[name].iloc[wrong[0]])
-        raise BounceError(f"data: {name} of row {wrong[0] + 1} must be a number, not {said!r:.40}")
+        value = str(table[name].iloc[wrong[0]])
+        raise BounceError(f"data: {name} of row {wrong[0] + 1} must be a number, not {value!r:.40}")
     return numbers

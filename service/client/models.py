@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-#: The states that a job leaves only by a request.
+#: The final states of a job; only a request changes them.
 FINISHED: Final = ("done", "failed", "cancelled")
 
 
@@ -68,7 +68,7 @@ class Progress:
 
 
 class Estimate(NamedTuple):
-    """What a sweep would cost."""
+    """The estimated cost of a sweep."""
 
     cells: int
     chunks: int

@@ -107,7 +107,7 @@ class Transport:
     ) -> httpx2.Response:
         """POST `body` (JSON); a repeated request must have the effect of a single one.
 
-        waits: for a busy service, like `get`.
+        waits: whether to wait for a busy service, like `get`.
         """
         content_type = {"Content-Type": "application/json"} if body is not None else {}
         send = partial(self._request, "POST", path, query, {**content_type, **(headers or {})}, body)
@@ -253,7 +253,7 @@ class Transport:
 
 
 def _text(value: Any) -> Any:
-    """A value of a query: lists, arrays of numpy too, as their values with commas."""
+    """A value of a query: lists and numpy arrays as their values with commas."""
     value = value.tolist() if hasattr(value, "tolist") else value
     return ",".join(map(str, value)) if isinstance(value, list | tuple) else value
 

@@ -172,7 +172,7 @@ class HTTPStore(WrapperStore[Store]):
 
 
 def _fault(document: dict[str, Any]) -> str:
-    """What the service's stores do not have, or would take more time or memory; empty if nothing."""
+    """A property that the service's stores do not have and that could cost time or memory; else empty."""
     arrays = list(islice(_arrays(document), MAX_ARRAYS + 1))
     if len(arrays) > MAX_ARRAYS:
         return f"more than {MAX_ARRAYS:,} arrays"

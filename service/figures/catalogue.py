@@ -25,8 +25,7 @@ def figures(selection: str) -> list[FigurePreset]:
     if selection == "all":
         return list(FIGURES.values())
     if not selection.isdecimal() or int(selection) not in FIGURES:
-        known = ", ".join([*map(str, FIGURES), "all"])
-        raise BounceError(f"unknown figure {selection}; choose one of: {known}")
+        raise BounceError(f"unknown figure {selection}; choose one of: {', '.join(map(str, FIGURES))}, all")
     return [FIGURES[int(selection)]]
 
 
@@ -50,10 +49,10 @@ def make(selected: Sequence[FigurePreset], client: Client, *, progress: bool = T
 
 
 def _compile_motions(client: Client) -> None:
-    """Let the service compile what Fig. 2's insets need while workers compile what its sweeps need."""
+    """Let the service compile kernels for Fig. 2's insets while workers compile those for its sweeps."""
     from service.figures.flights import motion
 
-    with suppress(Exception):  # the figure asks again, and tells what is wrong
+    with suppress(Exception):  # the figure asks again, and reports the error
         motion(client, max(presets.INSETS), settle=0)
 
 

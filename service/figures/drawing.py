@@ -1,4 +1,4 @@
-"""What the figures share: captions, claims, and the picture with its caption below.
+"""Captions and claims of the figures, and the picture with its caption below.
 
 Figures have the style of the views' pictures.
 """
@@ -44,7 +44,7 @@ class Verdict(StrEnum):
 
     AGREES = "Agrees"  # the paper says the same
     CONTRADICTS = "Contradicts"  # the paper says otherwise
-    LEFT_OPEN = "Left open by the paper"  # it does not say, and the result depends on it or adds to it
+    LEFT_OPEN = "Left open by the paper"  # the paper does not say
 
 
 class Claim(NamedTuple):
@@ -55,12 +55,12 @@ class Claim(NamedTuple):
 
 
 def compared(holds: bool | np.bool_, text: str) -> Claim:
-    """A claim on what the paper states; `holds`: whether the result is the same."""
+    """A claim on a statement of the paper; `holds`: whether the result agrees."""
     return Claim(Verdict.AGREES if holds else Verdict.CONTRADICTS, text)
 
 
 def left_open(text: str) -> Claim:
-    """A claim on what the paper does not state."""
+    """A claim on a question that the paper leaves open."""
     return Claim(Verdict.LEFT_OPEN, text)
 
 

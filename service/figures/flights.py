@@ -234,7 +234,7 @@ def _forbidden(*diagrams: xarray.Dataset) -> Claim:
 #: Labels of cells that bounce.
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC)
 
-#: Chaos begins where the cells over this range of Γ are chaotic, except in small windows.
+#: Chaos begins where nearly all cells over this range of Γ are chaotic.
 CHAOTIC_RANGE: Final = 0.5
 #: A share of cells above this is nearly all of them: windows of periodic motion lie between chaotic cells.
 MOSTLY: Final = 0.85
@@ -339,7 +339,7 @@ def _beginning_of_chaos(diagram: xarray.Dataset) -> float:
 
 
 def _one_period(diagram: xarray.Dataset) -> Claim:
-    """The paper: "follows a (1, 1) mode in a large interval of Γ"; it may have a hop too short to see."""
+    """The paper: "follows a (1, 1) mode in a large interval of Γ". A hop may be too short to see in it."""
     repeats = (diagram.periods.values == 1) & (diagram.bounces.values <= 2) & (diagram.gamma.values > 1.0)
     if not repeats.any():
         return compared(False, "(a) never repeats after one plate period")

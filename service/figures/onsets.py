@@ -20,7 +20,7 @@ from service.presets import DAMPINGS, GAMMAS, OMEGAS, SOFT, XI
 LINE_STYLES: Final[Any] = (("-", "o"), ((0, (5, 1.5)), "s"), ((0, (1, 1)), "^"), ("-.", "D"))
 MAX_GAMMA: Final = 3.0
 MAX_OMEGA: Final = 2.0
-#: Of searches where the closed form does not decide: some two seconds of a core each.
+#: Effort of the searches where the closed form does not decide: some two seconds of a core each.
 SEARCH_EFFORT: Final = 10
 OMEGA_GRID: Final = np.linspace(0.005, MAX_OMEGA, 1500)
 
@@ -168,7 +168,7 @@ def _sections_caption(onset: xarray.Dataset) -> Caption:
 
 #: The top of the frame of Fig. 9, above the Γ where the curves differ.
 HYSTERESIS_TOP: Final = 1.6
-#: Shallower minima, in Γ, come from the steps of the grid.
+#: Least depth of a minimum, in Γ: shallower ones come from the steps of the grid.
 MIN_DEPTH: Final = 0.02
 #: Thresholds count as different if they are more steps of Γ apart than this.
 STEPS_APART: Final = 3
@@ -206,9 +206,9 @@ def figure_9(client: Client, job: Job, lower: Job) -> Drawing:
         for fold in folds:
             axes.plot(fold.omega.values.T, fold.gamma.values.T, color=LINES["branch"], linewidth=0.7)
         axes.plot([], [], color=LINES["branch"], linewidth=0.7, label="folds, soft contact")
-        found: Any = {"fillstyle": "none", "markersize": 5, "label": "searched"}
-        ends = [[float(each[name]) for each in searched] for name in ("omega", "down")]
-        axes.plot(*ends, "D", color=LINES["threshold"], **found)
+        mark: Any = {"fillstyle": "none", "markersize": 5, "label": "searched"}
+        ends = [[float(end[name]) for end in searched] for name in ("omega", "down")]
+        axes.plot(*ends, "D", color=LINES["threshold"], **mark)
         onset: Any = {"linewidth": 0.9, "label": "Eq. 25"}
         axes.plot(OMEGA_GRID, threshold(OMEGA_GRID, XI), "--", color=LINES["threshold"], **onset)
         axes.legend(loc="upper left", frameon=False)
@@ -230,7 +230,7 @@ def minima(values: NDArray[np.float64], depth: float) -> list[int]:
 
 
 def _rise(values: NDArray[np.float64]) -> float:
-    """How far the values rise above the first one before they fall below it; NaN among them is no value."""
+    """How far the values rise above the first one before they fall below it; NaN is left out."""
     below = np.flatnonzero(values < values[0])
     return float(np.nanmax(values[: below[0]] if len(below) else values) - values[0])
 
@@ -268,10 +268,10 @@ def _coexist(loop: xarray.Dataset, lower: xarray.Dataset, step: float) -> Claim:
     """Not in the paper: whether the threshold depends on the "large amplitude" at the start."""
     same = loop.down.sel(omega=lower.omega, method="nearest").values
     moved = np.abs(lower.down.values - same) > STEPS_APART * step
-    known = np.isfinite(lower.down.values) & np.isfinite(same)
-    slow, fast = (known & side for side in (lower.omega.values < SLOW, lower.omega.values >= SLOW))
+    both = np.isfinite(lower.down.values) & np.isfinite(same)
+    slow, fast = both & (lower.omega.values < SLOW), both & (lower.omega.values >= SLOW)
     return left_open(
         "the amplitude that the ramp down begins with, which may matter where modes coexist: from "
         f"Γ = 1.2 instead of 3, {moved[slow].sum()} of {slow.sum()} thresholds below Ω = 0.5 and "
-        f"{moved[fast].sum()} of {fast.sum()} from 0.5 to 0.8 are others",
+        f"{moved[fast].sum()} of {fast.sum()} from 0.5 to 0.8 are others"
     )

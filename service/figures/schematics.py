@@ -47,7 +47,7 @@ def _draw(area: SubFigure) -> None:
 
 def _ball(axes: Axes) -> None:
     height = 1.55
-    _mass(axes, 0, height, "")
+    _mass(axes, height, "")
     axes.plot([0, 0], [PLATE, height - RADIUS], color="0.6", linewidth=0.7, linestyle=(0, (2, 2)))
     axes.text(RADIUS + 0.15, height, "$z_b$", va="center")
     axes.text(0.2, 0.35, r"$\epsilon$", color=LINES["up"], fontsize=12)
@@ -57,8 +57,8 @@ def _ball(axes: Axes) -> None:
 
 def _spring(axes: Axes) -> None:
     lower, upper = PLATE + 0.75, PLATE + 2.75
-    _mass(axes, 0, lower, "$m$")
-    _mass(axes, 0, upper, "$m$")
+    _mass(axes, lower, "$m$")
+    _mass(axes, upper, "$m$")
     bottom, top = lower + RADIUS, upper - RADIUS
     _coil(axes, -0.3, bottom - 0.18, top + 0.18)
     _damper(axes, 0.3, bottom - 0.18, top + 0.18)
@@ -71,9 +71,9 @@ def _spring(axes: Axes) -> None:
     axes.text(0, 3.85, "bouncing spring", ha="center", va="top")
 
 
-def _mass(axes: Axes, x: float, y: float, text: str) -> None:
-    axes.add_patch(Circle((x, y), RADIUS, facecolor="0.82", edgecolor="black", linewidth=1, zorder=4))
-    axes.text(x, y, text, ha="center", va="center", zorder=5)
+def _mass(axes: Axes, height: float, text: str) -> None:
+    axes.add_patch(Circle((0, height), RADIUS, facecolor="0.82", edgecolor="black", linewidth=1, zorder=4))
+    axes.text(0, height, text, ha="center", va="center", zorder=5)
 
 
 def _coil(axes: Axes, x: float, low: float, high: float) -> None:

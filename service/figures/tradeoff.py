@@ -1,4 +1,4 @@
-"""What the contact models cost, and how wrong they are: the cells of a plan that no sweep asks for.
+"""The cost and the error of the contact models, measured in cells of its own choice.
 
 The cells are ten lines of eight values of gamma, from those of the paper's figures to extremes: a plate 20
 times slower or faster than the spring, no damping, a dashpot that locks, gamma = 100. Each is computed from
@@ -20,7 +20,7 @@ from service.pictures import ATTRACTORS, FONT, TEXT
 from service.views.variables import dataset, row, variables
 from service.views.view import Estimate, Query, View
 from worker.analysis.deviation import percentile
-from worker.analysis.planning import Measured, measured
+from worker.analysis.planning import measured
 from worker.spec.contact_models import Ball, Contact, Rigid, Soft, Stepped
 from worker.sweep import SweepSpec
 
@@ -31,12 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: With rebound a landing ends in infinitely many ever smaller hops, which `micro_flight` leaves out.
-WINDOWS: Final[dict[str, Any]] = {
-    "settle": 100,
-    "observe": 50,
-    "keep": 1_024,
-    "micro_flight": 1e-2,
-}
+WINDOWS: Final[dict[str, Any]] = {"settle": 100, "observe": 50, "keep": 1_024, "micro_flight": 1e-2}
 
 #: (Omega, xi, lowest and highest gamma), eight values each, at equal ratios.
 LINES: Final = (
@@ -56,7 +51,7 @@ CELLS_PER_LINE: Final = 8
 
 
 class Purpose(NamedTuple):
-    """What a model is used for: the contact that its errors are measured from."""
+    """A use of the models: the contact that their errors are measured from."""
 
     exact: Soft
     title: str  # of its panel
@@ -91,7 +86,7 @@ class Setting(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The contact and what tells it from the others: `stepped 20 verlet, d = 0.001`."""
+        """The contact with its distinctive parameters: `stepped 20 verlet, d = 0.001`."""
         fields = self.contact.model_dump()
         steps = f" {fields['steps_per_contact']} {fields['scheme']}" if "scheme" in fields else ""
         depth = f", d = {fields['penetration']:g}" if "penetration" in fields else ""
@@ -122,7 +117,8 @@ def _settings(purpose: str) -> "list[Setting]":
         contacts += [Stepped(restitution=1e-6, penetration=d, scheme=s) for s in SCHEMES for d in DEPTHS[:2]]
         contacts += [Stepped(restitution=1e-2, penetration=d, adhesive=False) for d in DEPTHS[:2]]
     hard = Rigid(restitution=0.0 if purpose == "plate" else exact.restitution)
-    return [Setting(purpose, each) for each in (*contacts, hard, Ball())] + [Setting(purpose, Ball(), True)]
+    settings = [Setting(purpose, contact) for contact in (*contacts, hard, Ball())]
+    return [*settings, Setting(purpose, Ball(), locked=True)]
 
 
 #: All settings, in the order of the table.
@@ -140,13 +136,13 @@ _ROWS: Final = (
 
 
 def measure(settings: "Sequence[Setting]", show: "Callable[[int, int], None]") -> xarray.Dataset:
-    """Measure settings, here and one after another; `show` is called with those measured, and all."""
+    """Measure settings in this process, one after another; calls `show` with those measured, and all."""
     rows = []
     for i, setting in enumerate(settings):
         show(i, len(settings))
         rows.append(_row(setting))
     show(len(settings), len(settings))
-    data = dict(zip((each.name for each in _ROWS), zip(*rows, strict=True), strict=True))
+    data = dict(zip((variable.name for variable in _ROWS), zip(*rows, strict=True), strict=True))
     attrs = {name: purpose.text for name, purpose in PURPOSES.items()}
     attrs["cells"] = f"{len(LINES) * CELLS_PER_LINE}, {_PERIODS} plate periods from rest"
     return dataset(variables(_ROWS, data), {}, attrs)
@@ -156,20 +152,17 @@ _PERIODS: Final = WINDOWS["settle"] + WINDOWS["observe"]
 
 
 def _row(setting: Setting) -> tuple[Any, ...]:
-    """The values of _ROWS, to the digits that a repetition has in common."""
+    """The values of _ROWS, rounded to three digits: repeated measurements agree in no more."""
     lines = LINES[LOCKED : LOCKED + 1] if setting.locked else LINES
     exact = PURPOSES[setting.purpose].exact
     parts = [measured(_spec(line, setting.contact), _spec(line, exact)) for line in lines]
-    costs, errors = np.array([part.cost for part in parts]), np.concatenate([*map(_repeating, parts)])
+    costs = np.array([part.cost for part in parts])
+    errors = np.concatenate([part.deviation[part.true.outcome == Outcome.PERIODIC] for part in parts])
     wrong = np.concatenate([part.wrong for part in parts])
     values = (percentile(costs, 50.0), percentile(costs, 100.0),
               percentile(errors, 50.0), percentile(errors, 95.0), float(np.mean(wrong)))  # fmt: skip
     rounded = (math.nan if value is None else float(f"{value:.3g}") for value in values)
     return setting.purpose, setting.name, *rounded
-
-
-def _repeating(part: Measured) -> Any:
-    return part.deviation[part.true.outcome == Outcome.PERIODIC]
 
 
 def _spec(line: tuple[float, float, float, float], contact: Contact) -> SweepSpec:
@@ -185,10 +178,10 @@ class Series(NamedTuple):
     """How the rows of one model or scheme are drawn."""
 
     label: str
-    colour: str  # one of those that colour-blind readers can tell apart (Okabe and Ito's)
+    colour: str  # from the palette of Okabe and Ito, for colour-blind readers too
     marker: str
-    text_at: tuple[float, float]  # where labels are, in points of text from theirs
-    text_side: str  # of the label, there
+    text_at: tuple[float, float]  # place of a label, in points from its mark
+    text_side: str  # side of the label that is at this place
 
 
 SERIES: Final = {
@@ -258,7 +251,7 @@ def _draw_line(
 
 
 def _label(setting: Setting) -> str:
-    """The label of a point: steps for a contact itself, depths for a hard plate, of `soft` some."""
+    """The label of a point: steps for studies of a contact, depths for a hard plate; some of `soft` only."""
     contact = setting.contact
     if isinstance(contact, Ball):
         return "where the dashpot locks" if setting.locked else "everywhere"

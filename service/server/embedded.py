@@ -40,7 +40,7 @@ from worker.executors.dask import Dask
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
 
-#: Seconds after which a computing thread lets another one run: requests wait for it.
+#: Seconds for which a computing thread may keep others, which serve requests, from running.
 _SWITCH_SECONDS: Final = 0.001
 
 #: Permissions that the files of a private service lack: all of group and others.
@@ -118,7 +118,7 @@ class _Stopped(BaseException):
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGINT and SIGTERM end the block, also during startup; while serving, uvicorn handles them.
+    """SIGINT and SIGTERM end the block, also during startup; uvicorn handles them while it serves.
 
     After SIGINT, raises SystemExit with the code that shells give.
     """
@@ -142,7 +142,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def _startup_errors() -> Iterator[None]:
-    """Turn errors of data folder, ledger, kernel cache and cluster into NotStarted, but no defects."""
+    """Turn errors of data folder, ledger, kernel cache and cluster into NotStarted, but not defects."""
     try:
         yield
     except (LedgerUnavailable, CacheRefused, ClusterLost) as error:
@@ -212,7 +212,7 @@ def _opened(settings: Settings) -> str:
 
 
 def _who_answers(host: str, port: int, data: Path) -> str:
-    """What listens on a local port: a service, with its release and data folder, or another program."""
+    """The program that listens on a local port: a service, with its release and data folder, or another."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
     token = tokens.find_token(port, data) or tokens.find_token(port)
     try:
@@ -261,10 +261,10 @@ def connected_cluster(settings: Settings, marker: str) -> Dask:
 def _create(name: str) -> Any:
     """The cluster returned by the function `module:function`. Raises its errors."""
     module, _, function = name.partition(":")
-    # For a scheduler in this process; a remote one must be started with these settings.
+    # for a scheduler in this process; a remote one must be started with these settings
     dask.config.set(SCHEDULER_SETTINGS)
-    # The current folder comes last, and for this import only: anyone who can write to it could name a file
-    # like a library that is imported later.
+    # the current folder comes last, and for this import only: anyone who can write to it could name a file
+    # like a library that is imported later
     folder = str(Path.cwd())
     sys.path.append(folder)
     try:
@@ -275,7 +275,7 @@ def _create(name: str) -> Any:
 
 
 def _warm_answers(background: Processes) -> None:
-    """Import what answers need, and start the first process for them, before the first request."""
+    """Import the modules for answers, and start their first process, before the first request."""
     registry.warm()
     with suppress(NotComputed):  # the service was stopped meanwhile
         background.run(registry.warm)

@@ -53,12 +53,12 @@ class ReadableLines(logging.Formatter):
 class OncePerSecond(logging.Filter):
     """Passes each message of a library at most once a second, with the number of suppressed ones.
 
-    Anyone who can reach a port can trigger these, by connections or by bytes that are no TLS.
+    Anyone who can reach a port can trigger messages, by connections or by bytes that are not TLS.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._seen: dict[tuple[str, str], tuple[float, int]] = {}  # when last, how many left out since
+        self._seen: dict[tuple[str, str], tuple[float, int]] = {}  # time last passed, messages left out since
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Called by logging."""

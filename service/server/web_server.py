@@ -23,7 +23,7 @@ _LOG: Final = logging.getLogger("uvicorn.error")
 
 #: Files of the process reserved for ledger, stores and workers.
 OTHER_FILES: Final = 256
-#: Connections accepted at a time. Each takes a file until it is refused, a little later.
+#: Connections accepted at a time. Even one that is refused soon takes a file.
 ACCEPTED_AT_A_TIME: Final = 16
 #: Connections waiting to be accepted.
 BACKLOG: Final = 2048
@@ -32,7 +32,7 @@ MOST_FILES: Final = 65_536
 
 
 def _answer(status: HTTPStatus, detail: str) -> bytes:
-    """What a connection gets that never reaches the application: a problem document, and its end."""
+    """The answer to a connection that never reaches the application: a problem document, and the end."""
     problem = ProblemResponse(status, detail)
     headers = b"".join(b"%s: %s\r\n" % pair for pair in [*problem.raw_headers, (b"connection", b"close")])
     return b"HTTP/1.1 %d %s\r\n%s\r\n%s" % (status, status.phrase.encode(), headers, problem.body)
@@ -50,7 +50,7 @@ class WebServer(uvicorn.Server):
         on_stop: Callable[[], None] = lambda: None,
     ) -> None:
         self._app, self._listener, self._on_start, self._on_stop = app, listener, on_start, on_stop
-        #: Once it has started; else the error of the startup, or NotStarted if it was stopped before.
+        #: The address once it has started; the error of the startup, or NotStarted if it was stopped before.
         self.url: Future[str] = Future()
         super().__init__(
             uvicorn.Config(
@@ -100,8 +100,8 @@ class Limited(H11Protocol):
 
     Closes a connection unless the head of a request is complete within `timeout` seconds from its first byte,
     or from the opening of the connection. `api.dependencies` limits the body. A connection above `limit` is
-    answered with 503: without a limit, connections could take all files of the process. A client that reads
-    nothing for `stall` seconds is disconnected by the system, because its answer is in memory.
+    answered with 503: without a limit, connections could take all files of the process. The system
+    disconnects a client that reads nothing for `stall` seconds, because its answer is in memory.
     """
 
     timeout = 10.0
@@ -137,7 +137,7 @@ class Limited(H11Protocol):
             self._start_timer()
 
     def send_400_response(self, msg: str) -> None:
-        """Called by uvicorn for what is no request, with its own words."""
+        """Called by uvicorn, with its own text, for bytes that are not a request."""
         self.transport.write(_answer(HTTPStatus.BAD_REQUEST, "the request is not HTTP/1.1"))
         self.transport.close()
 

@@ -1,4 +1,4 @@
-"""What a matplotlib figure draws, read back from its artists."""
+"""The content of a matplotlib figure, read back from its artists."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -25,46 +25,46 @@ _POSITION = re.compile(rf"-?\d+\.\d{{{DIGITS}}}")
 
 
 def read_back(figure: FigureBase) -> list[str]:
-    """A line of text for each artist that can be seen: its kind, what it shows, and where.
+    """A line of text for each visible artist: its kind, its content, and its position.
 
-    Positions are in widths and heights of the figure: a text's corners; of a line, a patch or a collection
-    how many points there are, the ranges of x and y, their means, and a mean weighted by the order of the
-    points. Ticks are left out, their labels are not. Two figures of the same lines look the same but for
-    the widths of lines and the sizes of markers.
+    Positions are in widths and heights of the figure: the corners of a text; for a line, a patch or a
+    collection the number of points, the ranges of x and y, their means, and a mean weighted by the order of
+    the points. Omits ticks but not their labels. Two figures with the same lines look the same except for the
+    widths of lines and the sizes of markers.
     """
     figure.get_figure(root=True).draw_without_rendering()
-    return [line for artist in _seen(figure) if (line := _told(artist))]
+    return [line for artist in _visible(figure) if (line := _described(artist))]
 
 
 def difference(drawn: Sequence[str], expected: Sequence[str]) -> str:
-    """Where what was read back differs by more than TOLERANCE; nothing if it does not."""
+    """The first artist that differs by more than TOLERANCE; empty if none does."""
     for number, (line, before) in enumerate(zip_longest(drawn, expected, fillvalue="nothing")):
-        words, values = _parted(line)
-        expected_words, expected_values = _parted(before)
+        words, values = _words_and_positions(line)
+        expected_words, expected_values = _words_and_positions(before)
         same = words == expected_words
         if not same or not np.allclose(values, expected_values, rtol=TOLERANCE, atol=TOLERANCE):
             return f"artist {number}: {line}, expected {before}"
     return ""
 
 
-def _parted(line: str) -> tuple[list[str], list[float]]:
-    """What has to be the same, and positions, which may differ by rounding."""
+def _words_and_positions(line: str) -> tuple[list[str], list[float]]:
+    """Words, which have to be the same, and positions, which may differ by rounding."""
     words = [word for word in line.split() if not _POSITION.fullmatch(word)]
     return words, [float(word) for word in line.split() if _POSITION.fullmatch(word)]
 
 
-def _seen(artist: Artist) -> Iterator[Artist]:
-    """Artists in the order of drawing's tree, without those that are hidden or stand outside the picture."""
+def _visible(artist: Artist) -> Iterator[Artist]:
+    """Visible artists in the order in which they are drawn."""
     if not artist.get_visible():
         return
     yield artist
     for child in artist.get_children():
         if isinstance(artist, Tick) and isinstance(child, Line2D):
             continue
-        yield from _seen(child)
+        yield from _visible(child)
 
 
-def _told(artist: Artist) -> str | None:
+def _described(artist: Artist) -> str | None:
     if isinstance(artist, Text):
         return _text(artist)
     if isinstance(artist, Line2D):
@@ -108,7 +108,7 @@ def _values(array: Any) -> str:
 
 
 def _collected(artist: Collection) -> NDArray[np.float64]:
-    """The places where paths are drawn, or the vertices of all that are drawn once, in pixels."""
+    """The places where paths are drawn, or the vertices of paths that are drawn once, in pixels."""
     transform, to_pixels, offsets, paths = artist._prepare_points()
     places = np.asarray(to_pixels.transform(np.ma.filled(np.ma.asarray(offsets, float), np.nan)))
     if len(offsets) > 1 or not paths:
@@ -126,14 +126,14 @@ def _text(artist: Text) -> str | None:
 
 
 def _where(artist: Artist, points: Any) -> str:
-    """How many finite points there are, and where."""
+    """The number of finite points, and their ranges and means."""
     places = np.asarray(points, float).reshape(-1, 2) / _size(artist)
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):
         return "0"
     order = np.linspace(1.0, 2.0, len(places))[:, None]
-    told = [places.min(axis=0), places.max(axis=0), places.mean(axis=0), (order * places).mean(axis=0)]
-    return f"{len(places)} {_numbers(np.array(told))}"
+    means = places.mean(axis=0), (order * places).mean(axis=0)
+    return f"{len(places)} {_numbers(np.array([places.min(axis=0), places.max(axis=0), *means]))}"
 
 
 def _size(artist: Artist) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""What chunks came back with: errors that use up a try, and those that do not."""
+"""The errors of chunks: those that use up a try, and the others."""
 
 import pytest
 
@@ -20,5 +20,5 @@ def noting_errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
 
 
 def blamed(errors: list[BaseException]) -> list[BaseException]:
-    """Those that use up a try."""
+    """The errors that use up a try."""
     return [error for error in errors if isinstance(error, WorkerDied | WorkerLost)]

@@ -32,7 +32,7 @@ PROGRAMS = (
 )  # fmt: skip
 
 STORE = Path("/var/cache/bouncing-spring/containers")
-#: What is valid until the machine restarts.
+#: Podman's state until the machine restarts.
 RUN = Path("/run/bouncing-spring/containers")
 
 IMAGE = "bouncing-spring"
@@ -101,7 +101,7 @@ class Podman:
             self.variables["DISABLE_HC_SYSTEMD"] = "true"  # otherwise no container with a health check starts
 
     def run(self, *command: str, seconds: float = COMMAND_SECONDS, **variables: str) -> str:
-        """What a command prints. Raises if it fails."""
+        """The output of a command. Raises if it fails."""
         done = self.attempt(*command, seconds=seconds, **variables)
         assert done.returncode == 0, f"{' '.join(command)}: {done.returncode}\n{done.stdout[-6000:]}"
         return done.stdout
@@ -109,7 +109,7 @@ class Podman:
     def attempt(
         self, *command: str, seconds: float = COMMAND_SECONDS, **variables: str
     ) -> subprocess.CompletedProcess[str]:
-        """A command that may fail. Its output is a file: what it leaves running would hold a pipe open."""
+        """A command that may fail. It writes to a file: processes that it leaves would hold a pipe open."""
         with (self.folder / "output").open("w+") as output:
             done = subprocess.run(
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, text=True,

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import httpx2
@@ -73,11 +73,9 @@ class Processes:
 
     def end(self) -> None:
         for process in reversed(self.processes):
-            for each in family(process):
-                try:
-                    each.kill()
-                except psutil.NoSuchProcess:
-                    continue
+            for member in family(process):
+                with suppress(psutil.NoSuchProcess):
+                    member.kill()
             process.wait()
 
 
@@ -164,8 +162,8 @@ class Remote:
 
     def ask(self, path: str, token: str | None = None) -> httpx2.Response | None:
         """The service's answer; None while there is none."""
-        given = self.token if token is None else token
-        headers = {"Authorization": f"Bearer {given}"} if given else {}
+        token = self.token if token is None else token
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
         try:
             return httpx2.get(f"http://{self.address}{path}", headers=headers, timeout=10)
         except httpx2.TransportError:
@@ -178,6 +176,6 @@ class Remote:
         return {" ".join(re.findall('"(.*?)"', labels)): int(float(value)) for labels, value in found}
 
     def workers(self) -> int:
-        """Those that compute, a second later."""
+        """The number of computing workers, a second later."""
         time.sleep(1.0)
         return self.metrics("bounce_workers").get("computing", 0)

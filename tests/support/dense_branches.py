@@ -17,11 +17,11 @@ class Found(NamedTuple):
     kind: str
     flight_time: float
     gamma: float
-    margin: float  # of the orbit's conditions, relative to the size of what they ask of: > 0: admissible
+    margin: float  # least of the orbit's conditions, relative to their sizes; > 0: admissible
 
 
 def _generators(omega: float, xi: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of flight and contact (7, 7), and the matrix of a landing."""
+    """The generators (7, 7) of flight and contact, and the matrix of a landing."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     flight, contact = np.zeros((7, 7)), np.zeros((7, 7))
     for m in (flight, contact):
@@ -113,7 +113,7 @@ def _margin(
 
 
 class Held(NamedTuple):
-    """What n cycles fulfil, in plate amplitudes and m A omega**2; arrays (n,)."""
+    """The conditions of n cycles, in plate amplitudes and m A omega**2; arrays (n,)."""
 
     gap: np.ndarray  # its deepest minimum inside the flight; inf: none
     impact: np.ndarray  # gap' before landing: < 0
@@ -122,11 +122,11 @@ class Held(NamedTuple):
     takeoff: np.ndarray  # n' at take-off: < 0
 
     def flight_held(self) -> np.ndarray:
-        """Whether the gap is positive in flight, but for DEEP."""
+        """Whether the gap is positive in flight, up to DEEP."""
         return np.asarray((self.gap > -DEEP) & (self.impact < 0.0) & (self.takeoff < 0.0))
 
     def contact_held(self) -> np.ndarray:
-        """Whether n is positive in contact, but for DEEP."""
+        """Whether n is positive in contact, up to DEEP."""
         return np.asarray((self.force > -DEEP) & (self.landing > 0.0) & (self.takeoff < 0.0))
 
 
@@ -162,7 +162,7 @@ def _held(
 
 
 def held(omega: float, xi: float, periods: int, flight_time: float, samples: int = 4_000) -> Held:
-    """What the cycle of one flight time fulfils (1,)."""
+    """The conditions of the cycle with one flight time (1,)."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     generator, stuck, landing = _generators(omega, xi)
     fly = _powers(generator, flight_time / samples, samples)
@@ -180,9 +180,9 @@ def held(omega: float, xi: float, periods: int, flight_time: float, samples: int
 def breaks(
     omega: float, xi: float, periods: int, below: float, points: int = 20_000, every: int = 8
 ) -> list[tuple[float, float]]:
-    """Neighbours among `points` flight times between which a condition breaks, where Gamma < below.
+    """Neighbours among `points` flight times of (1, periods) between which a condition breaks; Gamma < below.
 
-    Of (1, periods); gap and n are sampled at each of these times that is a multiple of `every`.
+    Samples gap and n at every `every`-th of these times.
     """
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     step = 2.0 * math.pi * periods / points

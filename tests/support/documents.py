@@ -3,7 +3,7 @@
 Conventions of the documents. A comment on the line before a fence marks a block:
 
     <!-- file: NAME -->         the block is the content of a file, which is written where the commands run
-    <!-- output -->             the block is what the block before it prints, to the letter
+    <!-- output -->             the block is the output of the block before it, to the letter
     <!-- not run: REASON -->    the block is only checked for its syntax; `REASON` must be in NOT_RUN
 
 A shell block whose last command is `bounce serve` runs in the background until the end of the document or
@@ -154,7 +154,7 @@ class Session:
             self._run_in(self._python, block, '["{script}", "{log}", "{location}"]')
 
     def output(self) -> str:
-        """What the last block printed."""
+        """The output of the last block."""
         return self._log.read_text() if self._log else ""
 
     def file(self, name: str) -> Path:

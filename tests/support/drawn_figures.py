@@ -56,7 +56,7 @@ SMALL_FIGURES = {number: small(figure) for number, figure in catalogue.FIGURES.i
 
 @dataclass(frozen=True)
 class Made:
-    """A picture, and what its artists draw."""
+    """A picture, its caption, and its artists as text."""
 
     content: bytes
     caption: Caption
@@ -79,7 +79,7 @@ class Pictures(UserDict[int, Made]):
 
 
 def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
-    """What the figure was drawn from."""
+    """The diagram that the figure was drawn from."""
     return client.submit(SMALL_FIGURES[number].sweeps[sweep]).diagram(**line)
 
 

@@ -73,7 +73,7 @@ def check_phase(s: Setting, step: Step) -> None:
 
 
 def before_impact(s: Setting, step: Step, motion: Exact) -> tuple[float, float, float, float]:
-    """The kernel's state at the end of a phase, with what a rigid plate did to it undone."""
+    """The kernel's state at the end of a phase, before the impact on a rigid plate."""
     gap, gap1, q, q1 = step.after
     if s.soft or not step.flying or step.ending != ROOT:
         return step.after
@@ -85,7 +85,7 @@ def before_impact(s: Setting, step: Step, motion: Exact) -> tuple[float, float, 
 
 
 def sizes(s: Setting, step: Step) -> tuple[float, float, float, float]:
-    """How large gap, gap', q and q' are, and what is added up for them."""
+    """The sizes of the terms of gap, gap', q and q'."""
     gap, gap1, q, q1 = step.before
     speed = 1.0 + abs(gap1) + abs(q1) + step.tau / s.gamma
     stretch = abs(q) + s.omega**2 / s.gamma + min(1.0, s.omega) * speed
@@ -96,7 +96,7 @@ def sizes(s: Setting, step: Step) -> tuple[float, float, float, float]:
 
 
 def rounding(s: Setting, step: Step, motion: Exact) -> float:
-    """Relative: the phase of a fast ringing is known to so many digits only."""
+    """The relative rounding error, which grows with the phase of a fast ringing."""
     return 1e-6 if resonant(s) else 1e-13 * (1.0 + 0.01 * min(step.tau * motion.fastest(), 1e6))
 
 
@@ -115,7 +115,7 @@ def check_energy(s: Setting, step: Step, motion: Exact, end: tuple[float, float,
 
 
 def check_the_side_of_the_plate(s: Setting, step: Step, motion: Exact) -> None:
-    """In flight above the plate (but after a nonadhesive contact), in contact below it and not too deep."""
+    """Flight is above the plate, except after a nonadhesive contact; contact is below it, not too deep."""
     digits, size = rounding(s, step, motion), sizes(s, step)[0]
     taus = instants(motion, step.tau, 400)
     gaps = motion.gaps(taus)

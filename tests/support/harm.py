@@ -38,7 +38,7 @@ def leave(dask_worker: Worker) -> None:
 
 
 def hang() -> None:
-    """As a kernel that does not return and ignores the cancel flag."""
+    """Like a kernel that does not return and ignores the cancel flag."""
     time.sleep(3600)
 
 
@@ -57,7 +57,7 @@ def hog() -> None:
 
 
 def poison() -> None:
-    """As compiled code that writes to memory it does not own."""
+    """Like compiled code that writes to memory it does not own."""
     time.sleep(REPORTED)
     os.kill(os.getpid(), signal.SIGSEGV)
 
@@ -119,7 +119,7 @@ class Harm(WorkerPlugin):
         watchdog.run_task = run_harmed
 
 
-#: What a worker of `fragile_cluster` may use (bytes).
+#: Memory limit of a worker of `fragile_cluster`, bytes.
 MEMORY = 600 << 20
 
 
@@ -137,18 +137,18 @@ def fragile_cluster() -> Iterator[Dask]:
 
 
 def pids(executor: Dask, workers: int = 2) -> list[int]:
-    """Of all workers, once that many answer: one that was killed counts until the scheduler has noticed."""
-    found: list[int] = []
+    """The processes of all workers, once this many answer: a killed one counts until it is noticed."""
+    processes: list[int] = []
 
     def answered() -> bool:
         try:
-            found[:] = executor._connection.client.run(os.getpid).values()
-        except (OSError, TimeoutError):  # a connection to one that has died
+            processes[:] = executor._connection.client.run(os.getpid).values()
+        except (OSError, TimeoutError):  # a connection to a worker that has died
             return False
-        return len(found) == workers
+        return len(processes) == workers
 
     wait_for(answered)
-    return found
+    return processes
 
 
 def wait_until_ready(executor: Dask) -> None:

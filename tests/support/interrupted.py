@@ -1,4 +1,4 @@
-"""A command on a terminal of its own, ended by Ctrl-C: how it ended, how soon, and what it left behind."""
+"""A command on a terminal of its own, ended by Ctrl-C: how it ended, how soon, and its leftovers."""
 
 import fcntl
 import os
@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 #: Not from `paths`: benchmarks import this module without the tests' import path.
 ROOT = Path(__file__).parents[2]
-#: Seconds until whatever is left is killed.
+#: Seconds until remaining processes are killed.
 LIMIT = 20.0
 CTRL_C = b"\x03"
-#: What nobody wants to read after Ctrl-C.
+#: Output that nobody wants to read after Ctrl-C.
 NOISE = re.compile(r"Traceback|Exception ignored|distributed|Nanny|tornado|leaked|Aborted!", re.IGNORECASE)
 
 
@@ -35,7 +35,7 @@ class Ended(NamedTuple):
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong: code, time, lines of the output, things left behind."""
+        """The faults: code, time, lines of the output, leftovers."""
         # Before Python has started, the signal itself ends it; a shell says 128 + the signal of that, too.
         faults = [f"exit code {self.code}"] if self.code not in (128 + self.number, -self.number) else []
         faults += [f"{self.seconds:.1f} s"] if self.seconds > 2.0 else []
@@ -70,11 +70,11 @@ class Command:
 
     @property
     def output(self) -> str:
-        """What it has written so far."""
+        """The output so far."""
         return self._output.decode(errors="replace")
 
     def wait_for(self, condition: Callable[["Command"], bool], seconds: float = 240.0) -> None:
-        """Wait until something is so. Raises AssertionError if the command ends before."""
+        """Wait until the condition holds. Raises AssertionError if the command ends before."""
         deadline = time.monotonic() + seconds
         while not condition(self):
             assert self._process.poll() is None, self.output
@@ -82,7 +82,7 @@ class Command:
             time.sleep(0.02)
 
     def sleep(self, seconds: float) -> None:
-        """Let it run for so long, or until it ends."""
+        """Let it run for this long, or until it ends."""
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
 

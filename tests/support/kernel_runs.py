@@ -83,7 +83,7 @@ def recorded(line: Line, i: int = 0) -> np.ndarray:
 
 
 def last_cycle(line: Line, flights: int) -> np.ndarray:
-    """The last so many flights of the first cell, sorted."""
+    """The last `flights` flights of the first cell, sorted."""
     return np.sort(recorded(line)[-flights:])
 
 
@@ -93,7 +93,7 @@ def assert_same_bytes(first: Line, second: Line) -> None:
 
 
 def digest(line: Line) -> str:
-    """Of all its bytes."""
+    """SHA-256 of all its bytes."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(field).tobytes() for field in line)).hexdigest()
 
 

@@ -11,8 +11,8 @@ from kernel_runs import Model, run
 
 from kernel.params import Outcome
 
-#: rad: some contact times. The error of a shorter flight is as large, but not small against it: of one of
-#: 0.053 rad it is 2.8e-5 of the flight at 1600 steps.
+#: rad: some contact times. A shorter flight has the same error, which is large relative to it: 2.8e-5 of a
+#: flight of 0.053 rad at 1600 steps.
 LONG = 0.1
 
 #: A flight's error in rad is at most this times (pi/steps per contact)**2 (docs/model.md, section 2): the
@@ -55,14 +55,14 @@ def errors(cell, steps):
     long = times > LONG
     if not long.any() or np.abs(times - before).max() > DRIFT:
         return None
-    found = []
+    largest = []
     for number in steps:
         line = run_cell(cell, Model.STEPPED, steps_per_contact=number)
         assert line.bounces[0] == exact.bounces[0], cell
         error = np.abs(cycle(line)[0] - times)
         assert error.max() < BOUND * (np.pi / number) ** 2, cell
-        found.append((error / times)[long].max())
-    return found
+        largest.append((error / times)[long].max())
+    return largest
 
 
 def check(cells, count, steps):

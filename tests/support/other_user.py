@@ -1,4 +1,4 @@
-"""What another user of the machine tries: `python other_user.py UID < TASK`, started by root.
+"""The attempts of another user of the machine: `python other_user.py UID < TASK`, started by root.
 
 TASK is JSON: `ports` to send code to, the way Dask does, in plain TCP and in TLS with a certificate of their
 own; `markers`, a folder in which the code would make a folder `PORT`; `files` to read. Prints JSON: the ports
@@ -101,7 +101,7 @@ def readable(file: str) -> bool:
 
 def main() -> None:
     uid, task = int(sys.argv[1]), json.load(sys.stdin)
-    logging.disable()  # what the server says of connections that are none
+    logging.disable()  # the server logs attempts to connect
     asyncio.run(rehearse())  # a clone may be in a folder that its owner alone may enter
     os.setgroups([])
     os.setresgid(uid, uid, uid)

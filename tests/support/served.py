@@ -90,9 +90,9 @@ class Running:
     def jobs_until(
         self, came: Callable[[], bool], *, chunks: int, seconds: float, patience: float = DEADLINE
     ) -> list[JobRecord]:
-        """Have jobs of such a cost computed, one after the other, until something has come, and all are done.
+        """Compute jobs of this cost one after another until `came()`; all are done then.
 
-        However fast the machine is, there is work when it comes.
+        There is always work when it comes, on a fast machine too.
         """
         jobs: list[JobRecord] = []
         while not jobs or not came():
@@ -257,7 +257,7 @@ def done(address: str, spec: dict[str, Any]) -> str:
 
 @contextmanager
 def taken(client: TestClient, activity: str, *, slots: int = 1, memory: int = 0) -> Iterator[None]:
-    """Hold so many slots of an activity of costly requests, and so much memory, during the block."""
+    """Hold slots of an activity of costly requests, each with `memory` bytes, during the block."""
     capacity, loop = client.app.state.service.capacity, client.portal  # type: ignore[attr-defined]
     assert loop is not None
     leases = [loop.call(capacity.acquire, activity, memory) for _ in range(slots)]

@@ -87,7 +87,7 @@ class Slurm:
         wait_for(lambda: "idle" in self.ask("sinfo", "--noheader", "--format=%T"), self.log, 60)
 
     def ask(self, *command: str) -> str:
-        """What a command of Slurm prints."""
+        """The output of a command of Slurm."""
         environment = os.environ | self.variables
         return subprocess.run(command, env=environment, capture_output=True, text=True, check=False).stdout
 
@@ -104,7 +104,7 @@ class Slurm:
         return "\n".join(file.read_text()[-3000:] for file in sorted(self.folder.glob("*.log")))
 
     def end(self) -> None:
-        """End what was started, its jobs first."""
+        """End the jobs, then all daemons."""
         self.ask("scancel", "--user=root", "--full", "--signal=KILL")
         self.ask("scancel", "--user=root")
         for process in reversed(self._processes):

@@ -1,4 +1,4 @@
-"""What tests ask of a store's chunks, and of the folder of stores."""
+"""Questions of tests about a store's chunks and about the folder of stores."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -36,7 +36,7 @@ def files(folder: str | Path) -> dict[str, bytes]:
 
 
 def marked(data: Path) -> tuple[str, str]:
-    """What marks the stores of a data folder, which is made, as its service's."""
+    """Create a data folder; the address of its stores, and their mark."""
     settings = Settings(data=data)
     with open_ledger(settings) as ledger, ledger.reading() as reading:
         return settings.stores_url, reading.marker()[0]

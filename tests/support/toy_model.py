@@ -1,6 +1,6 @@
-"""A contact model that nobody needs: what a new one has to bring. The spring never leaves the plate.
+"""A toy contact model with all parts of a new one. The spring never leaves the plate.
 
-Its module (this one) with the functions a kernel needs, its fields, and its row of the table.
+The parts: its module (this one) with the functions of a kernel, its fields, and its row of the table.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -69,7 +69,7 @@ def _contact_force(g: Glued, phi: PlatePhase, state: State) -> float:
 
 
 class GluedFields(ContactFields):
-    """What a specification says of it."""
+    """Its fields in a specification."""
 
     kind: Literal["glued"]
     colour: Literal["red", "blue"] = "red"

@@ -1,4 +1,4 @@
-"""A kind of study that nobody needs: what a new one has to bring. It counts the divisors of whole numbers.
+"""A toy kind of study with all parts of a new one. It counts the divisors of whole numbers.
 
 Its package (this module): a specification, a plan, a task, its variables and its cost. Beside it only a row
 of `worker.studies.STUDIES` is needed for it to run as a job; queries and routes of its own would come on top.

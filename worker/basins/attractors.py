@@ -1,8 +1,8 @@
 """Finds and distinguishes the attractors that many starts of one cell reach (docs/basins.md).
 
 A search is a pure function of its starts. It requests runs and gets their records, so that the caller may
-pause between runs and answer from stored records. Representatives run on for the starts that they stand for:
-so cycles not settled to 1e-4, and slow passages beside unstable cycles, make no attractors of their own.
+pause between runs and answer from stored records. Starts that end alike are a group, and only representatives
+of it run on: so cycles not settled to 1e-4, and slow passages beside unstable cycles, make no attractors.
 """
 
 import math
@@ -36,7 +36,7 @@ CYCLE_FLIGHTS: Final = 256
 #: Flights of a start without a cycle that estimate its distribution.
 START_FLIGHTS: Final = 64
 
-#: Representatives of a group of starts on a cycle, and of starts without one.
+#: Representatives of a group of starts on a cycle.
 CYCLE_REPRESENTATIVES: Final = 4
 
 #: Plate periods, and maximum flights, for the distribution of an aperiodic representative.
@@ -47,13 +47,13 @@ LONG_FLIGHTS: Final = 2048
 EXPONENT_WINDOW: Final = 1000
 
 #: Distributions agree within this distance (Kolmogorov and Smirnov), or within HALVES times the distance
-#: between the two halves of one run, whichever is larger. A torus fills its distribution as the inverse of
-#: the flights, chaos as the inverse of their root.
+#: between the two halves of one run, whichever is larger. The error of a distribution from n flights falls as
+#: 1/n on a torus and as 1/sqrt(n) in chaos.
 SAME_DISTRIBUTION: Final = 0.05
 HALVES: Final = 1.5
 
-#: From this many flights on, a cycle belongs to an aperiodic attractor with the same distribution: a torus
-#: that almost closes after this many flights seems to be on such a cycle for longer than a window.
+#: A cycle of this many flights or more belongs to an aperiodic attractor with the same distribution: a torus
+#: that almost closes after that many flights looks like the cycle for longer than a window.
 LONG_CYCLE: Final = 20
 
 #: Transient motion is followed down to this share of all starts, if that takes at most this many times the
@@ -78,7 +78,7 @@ class Request(NamedTuple):
     exponents: int = 0
 
 
-#: Answers a request with what a function keeps of its record.
+#: Answers a request with the arrays that a function returns for its record.
 Run = Callable[[Request, Callable[[Line], dict[str, NDArray[Any]]]], dict[str, NDArray[Any]]]
 
 
@@ -138,6 +138,8 @@ def find(starts: _Floats, spec: BasinSpec, run: Run) -> Found:
 
 
 class _Search:
+    """The starts of one cell, their ends so far, and the attractors found."""
+
     def __init__(self, starts: _Floats, spec: BasinSpec, run: Run) -> None:
         self._spec, self._run = spec, run
         self._until = spec.until
@@ -157,7 +159,7 @@ class _Search:
         while len(undecided):
             aperiodic = self._ends.outcome[undecided] == Outcome.APERIODIC
             if self._until - taken < spec.observe and rate > 0.0 and self._extends:
-                self._until = max(self._until, taken + self._worth(len(undecided), rate))
+                self._until = max(self._until, taken + self._periods_to_follow(len(undecided), rate))
                 self._extends = False
             rate = self._rate_of_leaving(undecided[aperiodic], taken) or rate
             goes_on = undecided if rate > 0.0 else undecided[~aperiodic]
@@ -168,8 +170,8 @@ class _Search:
             observe = min(max(spec.observe, added // 2), LONG_WINDOW)
             self._advance(goes_on, self._ends.state[goes_on], added - observe, observe)
             taken += added
-            still = self._assign_cycles(goes_on, taken, observe)
-            undecided = np.union1d(np.setdiff1d(undecided, goes_on), still)
+            still_undecided = self._assign_cycles(goes_on, taken, observe)
+            undecided = np.union1d(np.setdiff1d(undecided, goes_on), still_undecided)
         self._assign_aperiodic(undecided, taken, rate)
         return self._numbered()
 
@@ -198,7 +200,7 @@ class _Search:
     def _assign_cycles(self, which: _Ints, taken: int, observe: int) -> _Ints:
         """Assign starts at rest or on cycles to attractors; returns the starts without one.
 
-        observe: the window that showed their cycles. A shorter one may not show them again.
+        observe: plate periods of the window that showed the cycles. A shorter one may miss them.
         """
         outcome = self._ends.outcome[which]
         undecided = [which[np.isin(outcome, (Outcome.APERIODIC, Outcome.SETTLING))]]
@@ -208,9 +210,9 @@ class _Search:
             return undecided[0]
         line = self._run_on(np.concatenate(chosen), taken, observe, CYCLE_FLIGHTS)
         first = 0
-        for group, some in zip(groups, chosen, strict=True):
-            reached = {self._cycle_of(line, i) for i in range(first, first + len(some))}
-            first += len(some)
+        for group, representatives in zip(groups, chosen, strict=True):
+            reached = {self._cycle_of(line, i) for i in range(first, first + len(representatives))}
+            first += len(representatives)
             if len(reached) == 1 and (owner := reached.pop()) is not None:
                 self._owner[group] = owner
             else:
@@ -221,9 +223,8 @@ class _Search:
         """The attractor on which run i of a record ends, known or new; None without a cycle."""
         if line.outcome[i] not in (Outcome.PERIODIC, Outcome.AT_REST):
             return None
-        known = self._known_attractor(line, i)
-        if known is not None:
-            return known
+        if (number := self._known_attractor(line, i)) is not None:
+            return number
         mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
         return self._new(Attractor(*mode, self._cycle(line, i), np.empty(0), line.end_state[i].copy()))
 
@@ -249,13 +250,13 @@ class _Search:
         """Rate of aperiodic motion ending on a cycle or at rest, per plate period, from representatives."""
         if len(which) == 0:
             return 0.0
-        some = _spread(which, REPRESENTATIVES)
-        line = self._run_on(some, taken, self._spec.observe, CYCLE_FLIGHTS)
+        representatives = _spread(which, REPRESENTATIVES)
+        line = self._run_on(representatives, taken, self._spec.observe, CYCLE_FLIGHTS)
         left = int(np.isin(line.outcome, (Outcome.PERIODIC, Outcome.AT_REST)).sum())
         followed = max(self._until - taken, 2 * self._spec.observe)
-        return left / (followed * (len(some) - 0.5 * left))
+        return left / (followed * (len(representatives) - 0.5 * left))
 
-    def _worth(self, starts: int, rate: float) -> int:
+    def _periods_to_follow(self, starts: int, rate: float) -> int:
         """Plate periods until only LEFT of all starts remain, if `starts` of them leave at this rate.
 
         0 if that costs more than WORTH times all starts up to `until`.
@@ -269,7 +270,7 @@ class _Search:
         settling = which[self._ends.outcome[which] == Outcome.SETTLING]
         for number, attractor in enumerate(self._attractors):
             self._owner[settling[_near(self._ends.time[settling], attractor.flights)]] = number
-        left = which[(self._owner[which] < 0) & (self._ends.outcome[which] != Outcome.APERIODIC)]
+        unsettled = which[(self._owner[which] < 0) & (self._ends.outcome[which] != Outcome.APERIODIC)]
         which = which[self._ends.outcome[which] == Outcome.APERIODIC]
         samples: list[_Sample] = []
         groups: list[list[int]] = []
@@ -289,13 +290,13 @@ class _Search:
         numbers = np.array([self._new(_pooled([samples[i] for i in group], rate)) for group in groups])
         self._owner[which] = numbers[nearest]
         self._join_long_cycles(numbers.tolist())
-        if len(left):
+        if len(unsettled):
             # On a torus beside a locked one flights seem to repeat, or to settle, for longer than a window.
             widest = np.array([distance[nearest == g].max(initial=0.0) for g in range(len(groups))])
-            distance = _distances(self._last_flights(left), samples, groups)
+            distance = _distances(self._last_flights(unsettled), samples, groups)
             nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
-            alike = distance <= widest[nearest]
-            self._owner[left[alike]] = numbers[nearest[alike]]
+            within = distance <= widest[nearest]
+            self._owner[unsettled[within]] = numbers[nearest[within]]
 
     def _join_long_cycles(self, numbers: Sequence[int]) -> None:
         """Add the starts of long cycles to the aperiodic attractor with their distribution."""
@@ -321,7 +322,7 @@ class _Search:
         return time, phase
 
     def _samples(self, line: Line) -> list["_Sample"]:
-        """The runs of a record that end on no known attractor: aperiodic, or on long cycles."""
+        """The runs of a record that end on an unknown attractor: aperiodic, or on long cycles."""
         samples = []
         for i in range(len(line.outcome)):
             time, phase = counted(line, i, self._spec.micro_flight)
@@ -334,7 +335,7 @@ class _Search:
     def _numbered(self) -> Found:
         counts = np.bincount(self._owner[self._owner >= 0], minlength=len(self._attractors))
         order = sorted(np.flatnonzero(counts).tolist(), key=lambda i: (-counts[i], *self._attractors[i].key))
-        ids = np.zeros(len(self._attractors) + 1, np.uint16)  # the last one for starts without an owner
+        ids = np.zeros(len(self._attractors) + 1, np.uint16)  # the last one is of starts without an owner
         for rank, number in enumerate(order):
             ids[number] = rank + 1
             self._attractors[number].fraction = float(counts[number] / len(self._owner))

@@ -1,7 +1,7 @@
 """The study `multistability`: the attractors of every cell of a grid, followed along gamma (docs/basins.md).
 
-A task computes whole lines along gamma. The destinations of starts are stored for both directions: two
-attractors of neighbouring cells are the same if each leads to the other.
+A task computes whole lines along gamma. It starts each cell from the attractors of both neighbours and stores
+the attractors reached: two attractors of neighbouring cells are the same if each leads to the other.
 """
 
 from collections.abc import Sequence
@@ -29,11 +29,11 @@ CYCLE: Final = 32
 #: Passes of lines in both directions: attractors found on the way down are followed up again.
 ROUNDS: Final = 3
 
-#: Values of `next_up` and `next_down`: not started; started, and no attractor reached.
+#: Values of `next_up` and `next_down`: not started; started without reaching an attractor.
 NOT_STARTED: Final = -1
 NOWHERE: Final = 0
 
-#: Stored names of the fields of `Reached` that differ.
+#: Stored names of fields of `Reached`, where they differ.
 _STORED: Final = {"outcome": "attractor_outcome", "state": "attractor_state"}
 
 _Arrays = dict[str, NDArray[Any]]
@@ -58,7 +58,7 @@ class Reached(NamedTuple):
 
     @property
     def order(self) -> tuple[float, ...]:
-        """The order of attractors that equally many drops reach."""
+        """The order of attractors with equal fractions."""
         return (self.outcome, self.bounces, self.periods, -self.longest_flight)
 
     def same(self, other: "Reached") -> bool:
@@ -68,9 +68,9 @@ class Reached(NamedTuple):
 
 
 def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
-    """The kept part of a record of n runs: the fields of `Reached`, n times."""
+    """The fields of `Reached` for the n runs of a record, arrays (n, ...)."""
     n = len(line.outcome)
-    answer = {
+    ends = {
         "outcome": line.outcome.astype(np.int64), "bounces": np.zeros(n, np.int64),
         "periods": np.zeros(n, np.int64), "cycle": np.full((n, CYCLE), np.nan),
         "longest_flight": np.zeros(n), "state": line.end_state,
@@ -79,48 +79,48 @@ def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
     for i, outcome in enumerate(line.outcome):
         time, phase = counted(line, i, micro_flight)
         if outcome == Outcome.PERIODIC:
-            answer["bounces"][i], answer["periods"][i] = line.bounces[i], line.periods[i]
+            ends["bounces"][i], ends["periods"][i] = line.bounces[i], line.periods[i]
             longest = np.sort(time[len(time) - line.bounces[i] :])[::-1][:CYCLE]
-            answer["cycle"][i, : len(longest)] = longest
-            answer["longest_flight"][i] = longest[0]
+            ends["cycle"][i, : len(longest)] = longest
+            ends["longest_flight"][i] = longest[0]
         elif outcome == Outcome.APERIODIC and len(time):
-            answer["longest_flight"][i] = time.max()
+            ends["longest_flight"][i] = time.max()
         last = min(keep, len(time))
-        answer["flight_time"][i, :last] = time[len(time) - last :]
-        answer["takeoff_phase"][i, :last] = phase[len(time) - last :]
-    return answer
+        ends["flight_time"][i, :last] = time[len(time) - last :]
+        ends["takeoff_phase"][i, :last] = phase[len(time) - last :]
+    return ends
 
 
 class _Cells:
-    """The known attractors in the cells of a chunk: its record, with the lines as first dimension."""
+    """The known attractors in the cells of a chunk: the arrays of its record as (lines, gammas, ...)."""
 
     def __init__(self, record: _Arrays) -> None:
-        self.of = {name: array.reshape(-1, *array.shape[2:]) for name, array in record.items()}
+        self.arrays = {name: array.reshape(-1, *array.shape[2:]) for name, array in record.items()}
 
     def id_of(self, line: int, j: int, end: Reached) -> int | None:
         """The id of the stored attractor of a cell on which a run ends; None if there is none."""
-        for k in range(min(int(self.of["attractor_count"][line, j]), MAX_FOLLOWED)):
-            fields = (self.of[_STORED.get(name, name)][line, j, k] for name in Reached._fields)
+        for k in range(min(int(self.arrays["attractor_count"][line, j]), MAX_FOLLOWED)):
+            fields = (self.arrays[_STORED.get(name, name)][line, j, k] for name in Reached._fields)
             if end.same(Reached(*fields)):
                 return k + 1
         return None
 
     def add(self, line: int, j: int, reached: Reached, fraction: float) -> int:
         """Store a further attractor of a cell; returns its id, or NOWHERE if there is no room."""
-        k = int(self.of["attractor_count"][line, j])
-        self.of["attractor_count"][line, j] += 1
+        k = int(self.arrays["attractor_count"][line, j])
+        self.arrays["attractor_count"][line, j] += 1
         if k >= MAX_FOLLOWED:
             return NOWHERE
         for name, value in reached._asdict().items():
-            self.of[_STORED.get(name, name)][line, j, k] = value
-        self.of["fraction"][line, j, k] = fraction
-        self.of["next_up"][line, j, k] = self.of["next_down"][line, j, k] = NOT_STARTED
+            self.arrays[_STORED.get(name, name)][line, j, k] = value
+        self.arrays["fraction"][line, j, k] = fraction
+        self.arrays["next_up"][line, j, k] = self.arrays["next_down"][line, j, k] = NOT_STARTED
         return k + 1
 
     def waiting(self, name: str, j: int) -> list[tuple[int, int]]:
         """The attractors (line, index) of the cells `j` not yet followed towards `name`."""
-        count = np.minimum(self.of["attractor_count"][:, j], MAX_FOLLOWED)
-        waits = (self.of[name][:, j] == NOT_STARTED) & (np.arange(MAX_FOLLOWED) < count[:, None])
+        count = np.minimum(self.arrays["attractor_count"][:, j], MAX_FOLLOWED)
+        waits = (self.arrays[name][:, j] == NOT_STARTED) & (np.arange(MAX_FOLLOWED) < count[:, None])
         return [(int(line), int(k)) for line, k in np.argwhere(waits)]
 
 
@@ -185,15 +185,15 @@ class _Search:
             groups = [[of_cell[i] for i in group] for group in _groups(of_cell)]
             for group in sorted(groups, key=lambda group: (-len(group), *group[0].order)):
                 self._cells.add(*place, group[0], len(group) / n)
-            self._cells.of["undecided"][place] = 1.0 - sum(map(len, groups)) / n
+            self._cells.arrays["undecided"][place] = 1.0 - sum(map(len, groups)) / n
 
     def _outlast(self, places: Sequence[tuple[int, int]], ends: Sequence[list[Reached]]) -> None:
-        """Run what is aperiodic after two windows on up to `until`: it may be a chaotic transient.
+        """Follow drops that are aperiodic after two windows up to `until`: they may be chaotic transients.
 
-        Some drops of a cell run on, and all where one leaves. What is aperiodic then is undecided, except
-        where only long cycles are reached: a torus seems to be on one for a while.
+        Follows some drops of each cell, and all of a cell where one ends. Drops that are aperiodic then are
+        undecided, unless the others reach only long cycles: a torus looks like one for a while.
         """
-        left = dict.fromkeys(range(len(ends)), LONG_CYCLE)  # cells, and flights of the shortest cycle reached
+        left = dict.fromkeys(range(len(ends)), LONG_CYCLE)  # flights of the shortest cycle reached, by cell
         for most in (CYCLE_REPRESENTATIVES, MAX_DROPS):
             followed = [(cell, i) for cell in left for i in _aperiodic(ends[cell], most)]
             if not followed:
@@ -215,11 +215,11 @@ class _Search:
         waiting = self._cells.waiting(name, j)
         if not waiting:
             return
-        states = np.stack([self._cells.of["attractor_state"][line, j, k] for line, k in waiting])
+        states = np.stack([self._cells.arrays["attractor_state"][line, j, k] for line, k in waiting])
         for state in states:
             rescale(state, self._gamma[j], 1.0, self._gamma[neighbour], 1.0)
         ends = self._run([(line, neighbour) for line, _ in waiting], states)
-        # An attractor that no drop has found may not have settled yet, or not be one.
+        # the end of a run that no drop has reached may not have settled yet
         unknown = [
             i
             for i, ((line, _), end) in enumerate(zip(waiting, ends, strict=True))
@@ -229,18 +229,19 @@ class _Search:
             places = [(waiting[i][0], neighbour) for i in unknown]
             later = self._run(places, np.stack([ends[i].state for i in unknown]), self._longer)
             for i, (line, _), end in zip(unknown, places, later, strict=True):
-                transient = self._cells.of["undecided"][line, neighbour] and end.outcome == Outcome.APERIODIC
+                undecided = self._cells.arrays["undecided"][line, neighbour] > 0.0
+                transient = undecided and end.outcome == Outcome.APERIODIC
                 ends[i] = end._replace(outcome=Outcome.SETTLING) if transient else end
         for (line, k), end in zip(waiting, ends, strict=True):
             reached = NOWHERE
             if end.decided:
                 known = self._cells.id_of(line, neighbour, end)
                 reached = self._cells.add(line, neighbour, end, 0.0) if known is None else known
-            self._cells.of[name][line, j, k] = reached
+            self._cells.arrays[name][line, j, k] = reached
 
 
 def _standing(ends: Sequence[Reached]) -> list[list[int]]:
-    """The starts of a cell whose first runs on for all: those on each cycle, and every aperiodic one."""
+    """Groups of a cell's starts of which the first runs on: those on one cycle, and each aperiodic one."""
     cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
     return sorted([*cycles, *([i] for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC)])
 
@@ -279,6 +280,6 @@ def run_chunk(spec: MultistabilitySpec, chunk: Chunk, store_url: str) -> ChunkRe
     for name in ("next_up", "next_down"):
         record[name][record[name] == NOT_STARTED] = NOWHERE  # found too late to be followed
     record["next_up"][..., -1, :] = record["next_down"][..., 0, :] = NOT_STARTED
-    found = record["attractor_count"] > 0
-    record["outcome"][...] = np.where(found, Outcome.PERIODIC, Outcome.UNRESOLVED)
+    any_attractor = record["attractor_count"] > 0
+    record["outcome"][...] = np.where(any_attractor, Outcome.PERIODIC, Outcome.UNRESOLVED)
     return work.write()

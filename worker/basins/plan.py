@@ -9,7 +9,7 @@ from worker.study.layout import bytes_of
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds, longest_seconds
 
-#: Starts of an attractor that are followed on.
+#: Starts of an attractor that run on.
 REPRESENTATIVES: Final = 32
 
 #: Average runs of a cell of a multistability study: of each drop with its continuation, and of followed

@@ -36,7 +36,7 @@ OF_ATTRACTORS: Final = (
 
 LIFETIME: Final = array("lifetime", _ID, "<f8", "plate periods until aperiodic motion ends; inf: none ended")
 
-#: Of the cell; `outcome` is the last array of such a study.
+#: Arrays of a cell; `outcome` is the last array of both studies.
 COUNT: Final = array(
     "attractor_count", AXES, "<i4", "attractors of the cell, also those beyond the dimension id"
 )

@@ -25,7 +25,7 @@ from worker.sweep.specification import (
     Xi,
 )
 
-#: Maximum starts, rows or columns of a cell: its starts are computed and stored together.
+#: Maximum starts of a cell, which are computed and stored together, and maximum rows or columns.
 MAX_STARTS: Final = 512 * 512
 MAX_SIDE: Final = 4096
 MAX_HEIGHT: Final = 1e6
@@ -34,6 +34,9 @@ MAX_DROPS: Final = 1024
 
 #: Maximum plate periods of a start if `settle_until` is null, in multiples of the window.
 UNTIL: Final = 10
+
+
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
 
 
 class Plane(Strict):
@@ -49,8 +52,8 @@ class Plane(Strict):
 
     kind: str
     plane: Literal["drop", "contact"] = "drop"
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
+    rows: Side
+    columns: Side
     height: Annotated[
         float,
         Field(gt=0.0, le=MAX_HEIGHT, description="The largest of the starts, in plate amplitudes."),
@@ -86,8 +89,8 @@ class Basin(Plane):
     MAX_STARTS: ClassVar = MAX_STARTS
 
     kind: Literal["basin"]
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 128
+    rows: Side = 128
+    columns: Side = 128
 
 
 class Multistability(Plane):
@@ -97,8 +100,8 @@ class Multistability(Plane):
 
     kind: Literal["multistability"]
     plane: Literal["drop"] = "drop"
-    rows: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 4
-    columns: Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE] = 6
+    rows: Side = 4
+    columns: Side = 6
 
 
 class GridSpec(Specification):
@@ -142,7 +145,7 @@ class GridSpec(Specification):
         return self
 
     def _check_until(self) -> None:
-        """`settle_until` allows another window after the first."""
+        """Raise BrokenRuleError unless `settle_until` allows another window after the first."""
         effective = self.settle + 2 * self.observe
         if self.settle_until is not None and self.settle_until < effective:
             needed = f"must be at least settle + 2 × observe, {effective:,}, to have an effect"

@@ -69,10 +69,10 @@ class Steps(Work):
     def answer(
         self, spec: GridSpec, cells: Sequence[_Floats], reduce: Callable[[Line], _Arrays], **window: Any
     ) -> _Arrays:
-        """The part that `reduce` keeps of the step's next run, computed now or before.
+        """The arrays that `reduce` returns for the step's next run, computed now or in an earlier slice.
 
-        Of starts, each in its cell: gamma, omega, xi (n,). `window`: as in `LineRun`, `states` (n, 6) too.
-        Raises ChunkCancelled, ChunkPaused.
+        cells: gamma, omega, xi (n,) of n starts. window: further arguments of `LineRun`, such as `states`
+        (n, 6). Raises ChunkCancelled, ChunkPaused.
         """
         if self._answered == len(self._answers):
             plate = plate_of(spec.model, *cells)

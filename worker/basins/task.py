@@ -42,7 +42,7 @@ def run_chunk(spec: BasinSpec, chunk: Chunk, store_url: str) -> ChunkReport:
 def _answer(
     spec: BasinSpec, cell: Cell, work: Steps, request: Request, reduce: Callable[[Line], _Arrays]
 ) -> _Arrays:
-    """The answer to a request of a search, first from the answers of earlier slices."""
+    """The answer to a request of a search, computed now or in an earlier slice."""
     cells = [np.full(len(request.states), value) for value in cell]
     return work.answer(spec, cells, reduce, **request._asdict())
 

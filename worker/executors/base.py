@@ -43,10 +43,10 @@ class ClusterLost(ExecutorError):
 
 @dataclass(frozen=True)
 class ClusterState:
-    """Whether chunks can be computed; `workers` counts the tasks that run at once."""
+    """Whether chunks can be computed."""
 
     connected: bool  # a scheduler answers
-    workers: int
+    workers: int  # tasks that run at once
     planned: int | None = None  # size that the cluster should have, if known
     reason: str = ""  # why there is no scheduler
     refused: tuple[str, ...] = ()  # workers that may not compute: host, address and why
@@ -67,7 +67,7 @@ class ClusterState:
         """`fault` with its known cause, for users who may see the service's addresses."""
         if (fault := self.fault) is None:
             return None
-        return "; ".join([fault, *([self.reason] if self.reason else []), *self.refused])
+        return "; ".join(filter(None, (fault, self.reason, *self.refused)))
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Executor(Protocol):
         """Whether there is a cluster, and workers; returns within seconds. May be a second old."""
 
     def compiling(self, store_url: str) -> Compiling | None:
-        """What a worker compiles for the job with this store; does not block."""
+        """The kernel that a worker compiles for the job with this store; does not block."""
 
     def ask_for(self, seconds: float, tasks: int) -> None:
         """Report the remaining work: `seconds` core-seconds, in `tasks` chunks that could run at once.

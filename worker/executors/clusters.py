@@ -31,7 +31,7 @@ SCHEDULER_SETTINGS: Final[dict[str, float]] = {
 NO_SCHEDULER: Final = (OSError, ValueError, KeyError, TypeError)
 #: A cluster is replaced after this many unanswered connections in a row.
 UNANSWERED: Final = 3
-#: A function is called once in this many seconds at most: it may ask a busy batch queue.
+#: Least seconds between two calls of a function that creates a cluster: it may ask a busy batch queue.
 MAKE_SECONDS: Final = 10.0
 #: Seconds between checks for lost workers.
 REFILL_SECONDS: Final = 5.0
@@ -40,7 +40,7 @@ _ENDED: Final = frozenset({"closed", "closing", "failed"})
 LOOPBACK: Final = "127.0.0.1"
 #: Workers still running after CLOSE_SECONDS are killed, and those that replaced them after KILL_SECONDS.
 CLOSE_SECONDS, KILL_SECONDS = 1.5, 0.1
-#: Schedulers and workers always listen for HTTP; without routes they have nothing but an empty sitemap.
+#: Schedulers and workers always listen for HTTP; without routes they serve only an empty sitemap.
 _NO_HTTP: Final[dict[str, list[str]]] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
@@ -53,7 +53,7 @@ def environment_variable(setting: str) -> str:
 
 
 class Target:
-    """What a connection connects to: a scheduler's address, or a cluster object that its owner closes.
+    """The target of a connection: a scheduler's address, or a cluster object that its owner closes.
 
     Its methods are called from the connection's threads, one at a time.
     """

@@ -99,7 +99,7 @@ class Dask:
         timeout: float = 30.0,
     ) -> None:
         self._count_time = -math.inf  # when the workers were last counted
-        self._present: dict[str, int] = {}  # their threads by address, then
+        self._present: dict[str, int] = {}  # threads of each worker then, by address
         self._state = ClusterState(connected=False, workers=0)
         self._tasks: dict[str, _Task] = {}  # unfinished, by Dask's key
         self._compiling: dict[str, tuple[float, str, float]] = {}  # by store: when heard, kernel, began
@@ -167,7 +167,7 @@ class Dask:
         self._target.close()
 
     def _count(self) -> None:
-        """Count the workers, and give up chunks that wait for workers which are gone."""
+        """Count the workers, and fail chunks that wait for workers which are gone."""
         threads = self._connection.worker_threads()
         present = self._present = threads or {}
         if present:
@@ -192,9 +192,9 @@ class Dask:
     ) -> "Future[Any]":
         """Submit to the scheduler. Raises ClusterLost.
 
-        A task that ends otherwise than by its outcome is withdrawn: when it is cancelled, or its worker is
-        terminated, or its client is lost. While its connection is being lost, a client's messages disappear
-        without an error, and its event loop may end before the task does.
+        A task is withdrawn if it is cancelled, its worker is terminated, or its client is lost. While a
+        client loses its connection, its messages disappear without an error, and its event loop may end
+        before the task does.
         """
         task = _Task(self._connection.client, f"{run_if_admitted.__name__}-{uuid4().hex}", chunk, others)
         run = self._run(task, pickle.dumps(call), priority)

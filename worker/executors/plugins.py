@@ -1,4 +1,4 @@
-"""Plugins for a cluster's workers and scheduler: they admit workers, and say how many there should be.
+"""Plugins for a cluster's workers and scheduler, which admit workers and request as many as jobs need.
 
 A worker with another kernel computes other numbers; one without the stores, or unable to load the kernel,
 fails every chunk. Such workers are refused before their first chunk, with the reason.
@@ -125,7 +125,7 @@ class WorkerAdmission(WorkerPlugin):
 
 
 def facts() -> dict[str, str]:
-    """What the stored bytes depend on in this process, by name.
+    """The properties of this process that the stored bytes depend on, by name.
 
     Of the processor only its kind counts: the kernel's operations are rounded correctly everywhere
     (docs/accuracy.md).
@@ -146,10 +146,10 @@ def _unseen(url: str, mark: str) -> str:
     try:
         from worker import store  # noqa: PLC0415 - see above
 
-        found = store.read_marker(url)
+        own_mark = store.read_marker(url)
     except Exception as error:  # noqa: BLE001 - without the stores it cannot compute
         return f"it cannot read {url}, where the stores are: {_one_line(error)}"
-    if found != mark:
+    if own_mark != mark:
         return f"it does not see the service's stores in {url}: share that folder, under the same path"
     fault = store.write_fault(url)
     return f"it cannot write into {url}, where the stores are: {fault}" if fault else ""
@@ -198,8 +198,8 @@ def _log_event(worker: Any, **what: Any) -> None:
 
 async def _end(worker: Any, status: int) -> None:
     """End this process, once its chunks have stored their progress."""
-    if (task := sys.modules.get("worker.study.chunks")) is not None:  # else refused, perhaps for this import
-        task.LEAVING.set()
+    if (chunks := sys.modules.get("worker.study.chunks")) is not None:  # else refused, maybe for this import
+        chunks.LEAVING.set()
         deadline = time.monotonic() + PAUSE_SECONDS
         await asyncio.sleep(REPORT_SECONDS)
         while worker.active_threads and time.monotonic() < deadline:
@@ -221,9 +221,9 @@ class Demand(SchedulerPlugin):
     """Makes the scheduler ask an adaptive cluster for as many workers as the services' jobs need.
 
     The scheduler counts its own tasks, but a service submits only a few chunks per worker. With `seconds`
-    core-seconds left and Dask's `target-duration` T the workers are seconds / T, at most as many as chunks
-    could run at once, plus one for each refused worker. Services write both, by client, under DEMAND into the
-    scheduler's metadata.
+    core-seconds left and Dask's `target-duration` T it asks for seconds / T workers, at most one for each
+    chunk that could run, plus one for each refused worker. Services write both numbers, by client, under
+    DEMAND into the scheduler's metadata.
     """
 
     name = "bouncing-spring-demand"
@@ -249,5 +249,5 @@ class Demand(SchedulerPlugin):
         return max(by_tasks, wanted + paused) if wanted else by_tasks
 
 
-# Not by name, under which a worker without this project would look for it.
+# By value: a worker without this project could not import the module by name.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])

@@ -12,7 +12,7 @@ _REMEMBERED: Final = 10_000
 
 
 class Roster:
-    """Workers by address. Pure; its methods are called from one thread, those that only read from any."""
+    """Workers by address. One thread calls the methods that change it; any thread may read."""
 
     def __init__(self) -> None:
         self.refused: dict[str, str] = {}  # workers refused now or when last present, and why
@@ -58,8 +58,8 @@ class Roster:
         return frozenset(self._failed_on.get(chunk, ()))
 
 
-def _remember(known: OrderedDict[Hashable, Any], key: Hashable, value: Any) -> None:
-    known[key] = value
-    known.move_to_end(key)
-    while len(known) > _REMEMBERED:
-        known.popitem(last=False)
+def _remember(entries: OrderedDict[Hashable, Any], key: Hashable, value: Any) -> None:
+    entries[key] = value
+    entries.move_to_end(key)
+    while len(entries) > _REMEMBERED:
+        entries.popitem(last=False)

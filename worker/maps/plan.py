@@ -57,7 +57,7 @@ def tile_shape(spec: SweepSpec, coarsest: int) -> tuple[int, int, int]:
 
 
 def estimate(spec: SweepSpec, plan: Plan) -> Cost:
-    """Cost of a map, which is known only once computed: the most that such maps usually take."""
+    """The most that maps like this usually cost: the cost itself is known only once the map is computed."""
     cells, seconds = plan.cells, cell_seconds(spec)
     low, high = (math.ceil(share * cells) for share in computed_shares(spec, refine_of(spec)))
     refined = seconds + TILE_SECONDS * len(plan) / high
@@ -84,7 +84,7 @@ def computed_shares(spec: SweepSpec, refine: Refine) -> tuple[float, float]:
 
 
 def first_round(spec: SweepSpec, plan: Plan) -> int:
-    """Cells of the first rounds of all tiles of a map, which any map needs."""
+    """Cells of the first rounds of all tiles, which every map of this plan computes."""
     xis, *grid = plan.grid
     rows, columns = (
         Counter(min(size, n - low) for low in range(0, n, size))

@@ -28,8 +28,7 @@ _Points = tuple[NDArray[np.int64], NDArray[np.int64]]
 #: Rows and columns from the first to the last corner of the smallest blocks that are split.
 _SMALLEST: Final = 2
 
-#: Classes of cells. By bouncing, several outcomes are one class; by mode, each outcome and each short mode
-#: is.
+#: Classes of cells: by bouncing, these outcomes are one; by mode, each outcome and each short mode is one.
 _BOUNCES: Final = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.SETTLING)
 _WITHOUT_MODE: Final = (Outcome.APERIODIC, Outcome.SETTLING)
 _MODES: Final = len(Outcome)
@@ -58,10 +57,7 @@ def classes(
 
 
 class Tile:
-    """The rounds of one tile of `shape` = (rows, columns) cells; they depend on these cells alone.
-
-    `cells`: flat indices of the next cells to compute; none at the end.
-    """
+    """The rounds of one tile of `shape` = (rows, columns) cells; they depend on these cells alone."""
 
     def __init__(self, shape: tuple[int, ...], refine: Refine) -> None:
         self._refine = refine
@@ -72,7 +68,7 @@ class Tile:
 
     @property
     def cells(self) -> NDArray[np.int64]:
-        """The cells of this round."""
+        """Flat indices of this round's cells; empty at the end."""
         return np.flatnonzero(self._wanted & ~self._computed)
 
     def split(self, outcome: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> None:
@@ -91,8 +87,8 @@ class Tile:
         """For each cell of the tile, flat, the index of the cell to copy (its own if computed)."""
         rows, columns = self._computed.shape
         source = np.arange(rows * columns).reshape(rows, columns)
-        # A row or column shared by two blocks belongs to the later one. At the tile's ends there is none:
-        # so each block first takes its whole span, then its own part.
+        # A row or column shared by two blocks belongs to the later one, except at the tile's ends: each block
+        # first takes its whole span, then its own part.
         for ends in (1, 0):
             for size, same in _by_size(self._blocks):
                 row, column = np.ogrid[: size[0] + ends, : size[1] + ends]

@@ -14,8 +14,8 @@ from worker.work import Work
 def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute the cells that a tile needs, fill in the others, and store it; the store must exist.
 
-    Each round of the refinement is a line. Rounds that an earlier task computed are in the record; the
-    refinement repeats them from there. Errors and checkpoints as in `worker.sweep.task`.
+    Each round of the refinement is a line. The refinement repeats rounds of an earlier task from the record.
+    Errors and checkpoints as in `worker.sweep.task`.
     """
     work = Work(store_url, chunk, tuple(arrays(spec)), sizes(spec))
     flat = {name: array.reshape(chunk.cells, *array.shape[3:]) for name, array in work.record.items()}

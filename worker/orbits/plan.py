@@ -3,7 +3,6 @@
 import math
 from typing import Final
 
-from kernel.cycles.events import POINTS as GRID
 from worker.orbits.schema import ARRAYS, sizes
 from worker.orbits.specification import OrbitsSpec, grid_points
 from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
@@ -40,5 +39,5 @@ def estimate(spec: OrbitsSpec, plan: Plan) -> Cost:
 def _seconds(spec: OrbitsSpec) -> float:
     """Core-seconds of the whole grid."""
     omega = spec.axis_values("omega")
-    squares = sum(float((grid_points(omega, k, GRID) ** 2).sum()) for _, k in spec.cycles)
+    squares = sum(float((grid_points(omega, k) ** 2).sum()) for _, k in spec.cycles)
     return SECONDS * squares * spec.shape[0]

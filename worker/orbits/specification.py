@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from kernel.cycles.events import POINTS as GRID
+from kernel.cycles.events import POINTS
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, Strict, within
 from worker.spec.errors import BrokenRuleError, describe
 from worker.spec.specification import Specification
@@ -22,8 +22,8 @@ from worker.spec.specification import Specification
 MAX_MODES: Final = 6
 MAX_PERIODS: Final = 12
 
-#: Maximum flight times per branch. Below Omega = 0.04 or so a branch of one period needs more, and the cost
-#: grows with their square, to 0.4 s at this limit.
+#: Maximum flight times per branch. The cost grows with their square, to 0.4 s at this limit. A branch of one
+#: period reaches it at about Omega = 0.04.
 MAX_GRID: Final = 2_000
 
 #: Maximum stored points of a branch and maximum stored events of a cell.
@@ -66,13 +66,13 @@ def check_modes(modes: Sequence[Mode]) -> None:
         raise BrokenRuleError("", f"must be 1 to {MAX_MODES} modes, not {len(modes)}")
 
 
-def grid_points(omega: NDArray[np.float64], periods: int, points: int) -> NDArray[np.float64]:
-    """Approximate number of flight times of a branch at each omega (n,), for an undamped spring.
+def grid_points(omega: NDArray[np.float64], periods: int) -> NDArray[np.float64]:
+    """Approximate number of flight times of an undamped spring's branch, at each omega (n,).
 
     See `kernel.cycles.events.flight_times`; fewer with damping, except near both ends.
     """
     rate = 1.0 + (1.0 + math.sqrt(2.0)) / omega
-    return np.maximum(2.0 * math.pi * periods * rate / 0.2, points)
+    return np.maximum(2.0 * math.pi * periods * rate / 0.2, POINTS)
 
 
 def _to_tuple(value: object) -> object:
@@ -121,7 +121,7 @@ class OrbitsSpec(Specification):
     def _rules(self) -> Self:
         longest = max(mode.periods for mode in self.cycles)
         lowest = self.axis_values("omega")[:1]
-        if grid_points(lowest, longest, GRID)[0] > MAX_GRID:
+        if grid_points(lowest, longest)[0] > MAX_GRID:
             rate = MAX_GRID * 0.2 / (2.0 * math.pi * longest) - 1.0
             needed = math.ceil(1000.0 * (1.0 + math.sqrt(2.0)) / rate) / 1000.0
             rule = f"must be at least {needed:g} for 1-{longest}, whose branch takes too many points below"

@@ -54,14 +54,14 @@ def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[
 
 def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDArray[Any]]) -> None:
     """Fill in one branch, thinned to the available points."""
-    kept = _stored_rows(branch.gamma <= spec.gamma_max, spec.points)
-    to = np.flatnonzero(kept >= 0)
-    rows = kept[to]
+    stored = _stored_rows(branch.gamma <= spec.gamma_max, spec.points)
+    points = np.flatnonzero(stored >= 0)
+    rows = stored[points]
     for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "elongation_velocity",
                  "impact_velocity", "stable", "violations"):  # fmt: skip
-        cell[name][0, row, to] = getattr(branch, name)[rows]
+        cell[name][0, row, points] = getattr(branch, name)[rows]
     for i, name in enumerate(("multiplier", "other_multiplier")):
-        cell[name][0, row, to] = branch.multiplier[rows, i]
+        cell[name][0, row, points] = branch.multiplier[rows, i]
 
 
 def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:

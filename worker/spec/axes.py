@@ -40,15 +40,15 @@ class Strict(BaseModel):
             try:
                 super().__init__(**data)
             except ValidationError as error:
-                fields = {each.tag(): tuple(each.model_fields) for each in _subclasses(Strict)}
+                fields = {cls.tag(): tuple(cls.model_fields) for cls in _subclasses(Strict)}
                 own = type(self).model_fields
-                for name, kind in ((name, field.annotation) for name, field in own.items()):
-                    if isinstance(kind, type) and issubclass(kind, Strict):
-                        fields[name] = tuple(kind.model_fields)
+                for name, field in own.items():
+                    if isinstance(field.annotation, type) and issubclass(field.annotation, Strict):
+                        fields[name] = tuple(field.annotation.model_fields)
                 fields[""] = tuple(own)
                 raise SpecInvalid(problems_of(error, fields)) from None
 
-        #: As of pydantic's own: for a field it is not called, whose errors so keep their whole path.
+        #: With pydantic's own mark it is not called for a field's value, whose errors keep their whole path.
         __init__.__pydantic_base_init__ = True
 
         def __setattr__(self, name: str, value: object) -> None:
@@ -67,7 +67,7 @@ def _subclasses(cls: type[Strict]) -> Iterator[type[Strict]]:
 
 
 def kind_of(value: object, default: str | None = None) -> Any:
-    """The `kind` of an object with one, or of its fields."""
+    """The `kind` of an object or of its fields; `default` for fields without one."""
     return value.get("kind", default) if isinstance(value, dict) else getattr(value, "kind", None)
 
 
@@ -181,7 +181,7 @@ def _form(value: object) -> str:
 
 
 def _number_or_forms(value: object) -> object:
-    if isinstance(_plain(value), bool | str | None) or not isinstance(_plain(value), int | float):
+    if isinstance(_plain(value), bool) or not isinstance(_plain(value), int | float):
         forms = "a number, a list of numbers, or a range with start, stop, num and spacing"
         raise BrokenRuleError("", f"must be {forms}, not {describe(value)}", "type")
     return value
@@ -225,7 +225,7 @@ def values_of(axis: AxisValue) -> NDArray[np.float64]:
     return values
 
 
-#: The lowest positive number that kernels accept (`kernel.params`).
+#: The smallest positive number that kernels accept (`kernel.params`).
 SMALLEST_POSITIVE: Final = 1e-30
 
 
@@ -243,7 +243,7 @@ def within(low: float, high: float) -> Callable[[AxisValue], AxisValue]:
         if len(too_small):
             rule = f"must be 0 or at least {SMALLEST_POSITIVE:g}, not {float(too_small[0])!r}"
             raise BrokenRuleError("", rule)
-        if isinstance(axis, Range) and not np.all(np.diff(values_of(axis)) > 0):
+        if isinstance(axis, Range) and not np.all(np.diff(values) > 0):
             rule = f"must be small enough for distinct values: {axis.start!r} and {axis.stop!r} are too close"
             raise BrokenRuleError("num", rule)
         return axis

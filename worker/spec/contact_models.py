@@ -39,7 +39,7 @@ MAX_PENETRATION: Final = 1.0
 DEFAULT_PENETRATION: Final = 1e-3
 
 #: Lower bound on the restitution of a nonadhesive contact, whose damping grows without bound as e goes to 0,
-#: and of `stepped`: an adhesive contact with e = 0 never ends, so no time step is a fraction of its duration.
+#: and of `stepped`, whose time step is a part of a contact's duration: with e = 0 an adhesive one never ends.
 MIN_RESTITUTION: Final = 1e-6
 
 #: Rounding error of the exact solution's flight times, rad.
@@ -47,13 +47,13 @@ MIN_TOLERANCE: Final = 1e-9
 
 MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
-#: Core-microseconds per cell per plate period of `rigid`: of a cell by itself, and with restitution
-#: above 0, in lanes and by itself.
+#: Core-microseconds per cell per plate period of `rigid`: of a cell alone; with restitution above 0, in lanes
+#: and alone.
 RIGID_ALONE_US: Final = 0.75
 RIGID_ELASTIC_US: Final = 0.48
 RIGID_ELASTIC_ALONE_US: Final = 1.3
-#: The same of `soft`: the stiffer the contact, the more hops follow an impact, for each decade of penetration
-#: below the default; of a cell by itself; how much more it takes from this restitution on.
+#: The same of `soft`: for each decade of penetration below the default, as more hops follow an impact on a
+#: stiffer contact; of a cell alone; the additional share from restitution SOFT_ELASTIC on.
 SOFT_DECADE_US: Final = 0.09
 SOFT_ALONE_US: Final = 2.0
 SOFT_ELASTIC: Final = 0.3
@@ -63,8 +63,8 @@ SOFT_ELASTIC_SHARE: Final = 1.2
 PERIOD_OMEGA: Final = (0.02, 0.06, 0.2, 0.55, 1.7)
 PERIOD_SHARE: Final = (1.8, 1.4, 1.15, 1.0, 0.4)
 
-#: Evaluations per plate period of the busiest cells: HOPS/(1 - e) where every landing is followed by chatter,
-#: and as many as RINGS/Omega, at most 1/xi, where the spring rings from landing to landing.
+#: Evaluations per plate period of the busiest cells: HOPS/(1 - e) if chatter follows every landing, and
+#: RINGS/Omega, at most 1/xi, if the spring rings from landing to landing.
 HOPS: Final = 7.0
 RINGS: Final = 4.0
 
@@ -95,11 +95,11 @@ class ContactFields(Strict):
         return base
 
     def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
-        """How many times `cost_us` the busiest cells take, which hop and ring as often as any."""
+        """The cost of the busiest cells, which hop and ring most often, in multiples of `cost_us`."""
         ends = self.plate_arguments(gamma[[0, -1]], omega[[0, -1]], xi[[0, -1]])
         with np.errstate(divide="ignore"):
             hops = np.mean(HOPS / (1.0 - ends.get("restitution", 0.0)))
-            lowest = 1.0 / np.min(ends.get("penetration", 0.0))  # a mass that hops lower stays in contact
+            lowest = 1.0 / np.min(ends.get("penetration", 0.0))  # a mass with lower hops stays in contact
             rings = min(np.mean(RINGS / omega), np.mean(1.0 / xi))
         evaluations = min(hops, HOPS + lowest) + rings
         return float(np.clip(evaluations, USUAL_EVALUATIONS, BUDGET) / USUAL_EVALUATIONS)
@@ -217,7 +217,7 @@ class Stepped(_SoftContact):
         return base * float(np.sqrt(np.prod(steps.astype(float))))
 
     def busiest(self, gamma: _Array, omega: _Array, xi: _Array) -> float:
-        """Steps take as long whatever happens."""
+        """1: steps take the same time in every cell."""
         return 1.0
 
     @model_validator(mode="after")
@@ -289,12 +289,12 @@ class Auto(_SoftContact):
         return self
 
     def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
-        """Until a model is chosen, the exact one's cost."""
+        """The cost of the exact model, until a model is chosen."""
         return self.exact.cost_us(base, gamma, omega, at_once=at_once)
 
     @property
     def certifies(self) -> bool:
-        """As any model that may be chosen."""
+        """True, as for every model that may be chosen."""
         return True
 
     @property
@@ -311,18 +311,18 @@ class ContactModel(NamedTuple):
     cost_us: float  # core-microseconds per cell per plate period from rest; of `stepped`, per time step
     label: str  # for figures and messages
     certified: float = 1.0  # share of the cost where cells end once they are certified
-    ramp: float = 1.0  # cost of a ramp's cell relative to one from rest; of models in lanes, side by side
+    ramp: float = 1.0  # cost of a ramp's cell relative to one from rest; of models in lanes, in full lanes
 
 
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
-#: docs/architecture.md). Costs: so that twenty studies take what is expected (`python -m
-#: benchmarks.estimates`). On a ramp few cells of springs are at rest, and more cells of a ball.
+#: docs/architecture.md). The costs fit twenty measured studies (`python -m benchmarks.estimates`). On a ramp
+#: fewer cells of springs are at rest, and more cells of a ball.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
     "soft": ContactModel(Soft, "kernel.models.soft", 0.57, "soft contact", 0.53, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
     "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.215, "rigid contact", 0.77, 1.4),
     "ball": ContactModel(Ball, "kernel.models.ball", 0.145, "ball contact", 0.95, 0.7),
-    # Until a model is chosen: the exact one, which is the most expensive.
+    # until a model is chosen: the exact one, which is the most expensive
     "auto": ContactModel(Auto, "kernel.models.soft", 0.57, "auto contact", 0.53, 1.4),
 }
 

@@ -34,7 +34,7 @@ class BounceError(Exception):
 
 
 def _rebuilt(kind: type[BounceError], arguments: tuple[Any, ...], state: dict[str, Any]) -> BounceError:
-    """An exception out of what pickle keeps of it."""
+    """An exception from its class, arguments and attributes, for pickle."""
     error = kind.__new__(kind, *arguments)
     error.args = arguments
     error.__dict__.update(state)
@@ -102,7 +102,7 @@ def one_of(names: Iterable[str]) -> str:
     return " or ".join(filter(None, [", ".join(quoted[:-1]), quoted[-1]]))
 
 
-#: What other words for a field mean.
+#: Fields by other words for them.
 _MEANT: Final = {"γ": "gamma", "ω": "omega", "ξ": "xi", "step": "num"}
 
 
@@ -121,8 +121,8 @@ def problems_of(error: "ValidationError", fields: Mapping[str, Sequence[str]]) -
     fields: the field names of every object by its tag or name; `""` is the specification itself. Tags of
     unions look like `<range>` and are not part of a field's path.
     """
-    # A default that depends on a wrong field is no other problem.
-    entries = [each for each in error.errors(include_url=False) if "default_factory" not in each["type"]]
+    # a default that depends on a wrong field is not a second problem
+    entries = [entry for entry in error.errors(include_url=False) if "default_factory" not in entry["type"]]
     problems = [_problem(entry, fields) for entry in entries[:MAX_PROBLEMS]]
     if len(entries) > MAX_PROBLEMS:
         problems.append(Problem("", f"and {len(entries) - MAX_PROBLEMS} more problems"))
@@ -165,7 +165,7 @@ def rule_of(entry: Mapping[str, Any]) -> str:
         return str(cause)
     rule = next((text for ends, text in _RULES.items() if kind.endswith(ends)), "is not allowed: {value}")
     length = len(value) if isinstance(value, str) else 0
-    # Text of a query may be a number; that of a specification, read strictly, breaks a rule as text.
+    # a number of a query is text; in a specification, which is read strictly, text breaks a rule as text
     is_text = kind.endswith(("_type", "literal_error")) or not length or not is_number(str(value))
     shown = describe(value) if is_text else value
     text = rule.format(value=shown, length=length, **context)
@@ -175,7 +175,7 @@ def rule_of(entry: Mapping[str, Any]) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Whether a short text is a number, as one of a query is."""
+    """Whether a text is a number of at most 40 characters."""
     try:
         return len(text) <= 40 and float(text) is not None
     except ValueError:
@@ -190,7 +190,7 @@ def code_of(kind: str) -> Code:
     return codes.get(kind, "rule")
 
 
-#: The texts for people, by how pydantic's names of a broken rule end; of fields, queries and settings alike.
+#: The texts for people, by the endings of pydantic's error types; for fields, queries and settings alike.
 _RULES: Final[dict[tuple[str, ...], str]] = {
     ("missing",): "is required",
     ("extra_forbidden",): "is not a parameter here",

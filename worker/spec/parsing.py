@@ -37,6 +37,13 @@ def _unreadable(rule: str) -> SpecUnreadable:
     return SpecUnreadable([Problem("", rule)])
 
 
+def _decoded(content: bytes) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+
+
 def _reject_constant(word: str) -> object:
     raise _unreadable(f"{word} is not a number in JSON; leave the value out or give a finite one")
 
@@ -58,14 +65,12 @@ def _reject_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def read_json(text: str | bytes) -> object:
     """Parse JSON text. Raises `SpecUnreadable` with the line and column of a syntax error."""
+    decoded = text if isinstance(text, str) else _decoded(text)
     try:
-        decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
         return json.loads(
             decoded, parse_constant=_reject_constant, parse_int=_whole,
             object_pairs_hook=_reject_repeated_keys,
         )  # fmt: skip
-    except UnicodeDecodeError as error:
-        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
     except json.JSONDecodeError as error:
         if not decoded.strip():
             raise _unreadable("the text is empty") from None
@@ -75,9 +80,9 @@ def read_json(text: str | bytes) -> object:
 
 
 def _syntax(format: str, text: str, line: int, column: int) -> str:
-    """The rule that a text breaks at a place, counted from 1."""
-    there = text.split("\n")[line - 1][max(column - 3, 0) : column + 1]
-    rule = ": a number has a decimal point, no comma" if re.search(r"\d,\d", there) else ""
+    """The message for a syntax error at this line and column, counted from 1."""
+    around = text.split("\n")[line - 1][max(column - 3, 0) : column + 1]
+    rule = ": a number has a decimal point, no comma" if re.search(r"\d,\d", around) else ""
     return f"the text is not {format} at line {line}, column {column}{rule}"
 
 
@@ -111,10 +116,7 @@ def _text(content: bytes, format: str) -> str:
         raise _unreadable(
             f"a {format} file must be at most {MAX_SLOW_BYTES} bytes; give long axes as ranges, or write JSON"
         )
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise _unreadable(f"the text is not UTF-8 at byte {error.start}") from None
+    return _decoded(content)
 
 
 def _read_toml(content: bytes) -> object:
@@ -189,8 +191,8 @@ def _read_yaml(content: bytes) -> object:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        said = error.problem if isinstance(error, yaml.constructor.ConstructorError) else ""
-        raise _unreadable(f"the text is not YAML{where}{said and f': {said}'}") from None
+        why = f": {error.problem}" if isinstance(error, ConstructorError) else ""
+        raise _unreadable(f"the text is not YAML{where}{why}") from None
     except (RecursionError, ValueError) as error:
         raise _unreadable(f"the YAML cannot be read: {error}") from None
 

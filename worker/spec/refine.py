@@ -10,8 +10,8 @@ from worker.spec.errors import BrokenRuleError
 #: Widest first block of a map, in cells: wider ones miss more and save hardly any cells.
 MAX_COARSEST: Final = 128
 
-#: Longest cycles, in plate periods, that a map by mode distinguishes. Longer ones are one class: where they
-#: mix, every cell would be computed.
+#: Longest cycles, in plate periods, that a map by mode distinguishes. Longer ones are one class: otherwise
+#: every cell would be computed where they mix.
 MAX_MODE_PERIODS: Final = 4
 
 #: Default `coarsest`. Modes have islands and tongues of a few cells, which blocks of 64 miss; the bouncing

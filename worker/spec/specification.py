@@ -15,7 +15,7 @@ from worker.spec import parsing
 from worker.spec.axes import AxisValue, Strict, length_of, values_of
 from worker.spec.errors import BrokenRuleError, describe
 
-#: Combining marks on one letter of a name: more than scripts need would cover the lines above and below.
+#: Most combining marks on one letter of a name. No script needs more, and they cover the lines around.
 MAX_MARKS: Final = 4
 
 
@@ -86,7 +86,7 @@ class Specification(Document):
 
     @property
     def fills_in(self) -> bool:
-        """Whether only some cells are computed, and the others take their values (`layout.COMPUTED`)."""
+        """Whether only some cells are computed, and the others are filled in (`layout.COMPUTED`)."""
         return False
 
     def left_out(self) -> set[str]:

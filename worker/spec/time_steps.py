@@ -16,7 +16,7 @@ from kernel.step_limits import (
 from worker.spec.contact_models import Stepped, penetration_of
 from worker.spec.errors import BrokenRuleError
 
-#: About two minutes of computing; a worker checks the cancel flag only between cells.
+#: About two minutes of computing: a worker checks the cancel flag only between cells.
 MOST_STEPS_PER_CELL: Final = 10_000_000_000
 
 

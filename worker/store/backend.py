@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 #: Position of a chunk in the grid of chunks, one index per cell dimension.
 ChunkCoords = tuple[int, ...]
 
-#: Exceptions for a bucket that does not respond or denies access.
+#: The exceptions of a bucket that does not respond or denies access.
 UNREACHABLE: tuple[type[Exception], ...] = ()
 with suppress(ImportError):  # obstore comes with the extra `s3`
     from obstore.exceptions import BaseError
@@ -107,7 +107,7 @@ def read_key(url: str, key: str) -> bytes | None:
 
 @contextmanager
 def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
-    """The file under a key of a folder, unbuffered; None if it is missing or no file of a store."""
+    """The file under a key of a folder, unbuffered; None for one that `read_key` counts as missing."""
     path = Path(url, key)
     try:
         # Without O_NONBLOCK opening a pipe waits until something writes to it.
@@ -127,7 +127,7 @@ def _opened(url: str, key: str) -> Iterator[BinaryIO | None]:
 
 
 def _link(path: Path, above: int) -> Path | None:
-    """A symbolic link among the `above` folders over a path."""
+    """The first symbolic link among the `above` folders over a path; None without one."""
     return next((folder for folder in path.parents[:above] if folder.is_symlink()), None)
 
 
@@ -206,16 +206,16 @@ def make_place(url: str) -> None:
 
 
 def write_fault(url: str) -> str | None:
-    """Why this process can make no file in the folder at an address, or where it would be; None if it can.
+    """Why this process cannot create a file in the folder at an address; None if it can.
 
-    Not of a bucket, nor because a disk is full. Only a try tells: an ext4 that met an error refuses files and
-    is still mounted to be written to.
+    Tries it, in the closest folder that exists: an ext4 that met an error refuses files, though it is still
+    mounted for writing. Does not report a full disk, and tries nothing in a bucket.
     """
     if in_bucket(url):
         return None
-    place = Path(url).absolute()
+    path = Path(url).absolute()
     try:
-        with TemporaryFile(dir=next(each for each in (place, *place.parents) if each.exists())):
+        with TemporaryFile(dir=next(folder for folder in (path, *path.parents) if folder.exists())):
             return None
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):

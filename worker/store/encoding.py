@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from worker.store.backend import ChunkCoords
 from worker.study import Layout
 
-#: Of zstd, whose frames carry a checksum.
+#: Compression level of zstd.
 LEVEL: Final = 3
 #: Offset and length of an inner chunk missing from a shard.
 _ABSENT: Final = 2**64 - 1
@@ -72,7 +72,7 @@ def chunk_key(name: str, dims: int, coords: ChunkCoords) -> str:
 
 
 def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> bytes:
-    """A chunk's bytes. `values`: its cells in the grid, fewer than a whole chunk at the edge."""
+    """A chunk's bytes. `values`: its cells, fewer than a whole chunk at the edge of the grid."""
     block = values
     if values.shape != form.chunks:
         block = np.full(form.chunks, form.fill, form.dtype)
@@ -100,7 +100,7 @@ def decode(form: ArrayForm, content: bytes, index: tuple[int, ...]) -> NDArray[A
 
 
 def position(form: ArrayForm, coords: Sequence[int], inner: Sequence[int]) -> tuple[int, ...]:
-    """Where an inner chunk is in the array, in inner chunks; coordinates that are left out are 0."""
+    """Position of an inner chunk in the array, in inner chunks; omitted coordinates are 0."""
     dims = len(form.dims)
     outer, within = ([*part, *[0] * (dims - len(part))] for part in (coords, inner))
     return tuple(c * n + i for c, n, i in zip(outer, form.inner_counts, within, strict=True))
@@ -152,7 +152,7 @@ def _index(form: ArrayForm, index: bytes) -> NDArray[np.uint64]:
 
 
 def forms_in(layout: Layout) -> tuple[dict[str, ArrayForm], ...]:
-    """How the arrays of a layout may be stored, by name: in each of its `cuts`."""
+    """The allowed forms of a layout's arrays, by name, for each of its `cuts`."""
     return tuple(map(_forms, layout.cuts))
 
 
@@ -179,7 +179,7 @@ def same(form: ArrayForm, other: ArrayForm | None) -> bool:
 
 
 def form_of(metadata: Mapping[str, Any], seal: str) -> ArrayForm:
-    """From the metadata of an array. Raises KeyError, TypeError or ValueError for forms we do not write."""
+    """The form in an array's metadata. Raises KeyError, TypeError or ValueError for one we do not write."""
     dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
     chunks = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
     codec = metadata["codecs"][0]

@@ -43,7 +43,7 @@ class HasSlices(Protocol):
 
 
 class _Part(NamedTuple):
-    """The requested cells in one inner chunk (the whole chunk if it is no shard)."""
+    """The requested cells in one inner chunk, or in a chunk that is not a shard."""
 
     inner: tuple[int, ...]  # position in the shard
     position: tuple[int, ...]  # in the array, in inner chunks
@@ -98,7 +98,7 @@ def _read(
     damaged: dict[ChunkCoords, str] = {}
 
     def take(names: Iterable[str], lenient: bool) -> None:
-        """Read the chunks of some arrays. A missing one is damage, or `lenient`, not computed."""
+        """Read the chunks of some arrays. A missing chunk is damage; if `lenient`, it is not computed."""
         files = [
             (chunk_key(name, len(arrays[name].dims), coords), name, coords)
             for name in names
@@ -129,7 +129,7 @@ def _read(
 def _read_file(
     url: str, key: str, form: ArrayForm, parts: Sequence[_Part], cells: NDArray[Any]
 ) -> str | None:
-    """Put the parts of an array's chunk into `cells`; returns what is wrong with it."""
+    """Put the parts of an array's chunk into `cells`; returns the fault of a damaged or missing chunk."""
     try:
         contents = _contents(url, key, form, [part.inner for part in parts])
         if contents is None:
@@ -159,7 +159,7 @@ def _contents(
 
 
 def _fill_values(form: ArrayForm, index: tuple[Index, ...]) -> NDArray[Any]:
-    """The requested cells of an array before any is computed, with dimensions indexed by an integer."""
+    """The requested cells of an array before any is computed; an integer index keeps its dimension."""
     cells = [len(_range(n, i)) for n, i in zip(form.shape, index, strict=False)]
     return np.full((*cells, *form.shape[len(cells) :]), form.fill, form.dtype)
 

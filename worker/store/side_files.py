@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from worker.store import backend
 
-#: The file beside the stores with the id of the service's ledger, which writes it once. It proves to a worker
-#: that it sees the service's folder, and to the service that the folder is there.
+#: The file beside the stores with the id of the service's ledger, written once. It proves to a worker that it
+#: sees the service's folder, and to the service that the folder is there.
 MARKER: Final = ".ledger"
 
-#: A bucket without the cancel flag is not asked again for this long by any task of this process, for at most
-#: this many stores.
+#: Seconds for which no task of this process asks a bucket again that had no cancel flag, and most stores that
+#: are remembered.
 REMEMBERED_SECONDS: Final = 1.0
 MOST_REMEMBERED: Final = 256
 _unset: dict[str, float] = {}  # when the flag was found not set, by store
@@ -47,9 +47,9 @@ def read_marker(url: str) -> str | None:
 def set_cancelled(url: str) -> None:
     """Set the cancel flag, which makes every task of this store stop. The store need not exist yet."""
     _unset.pop(url, None)
-    place, name = _flag(url)
-    backend.make_place(place)
-    backend.put(place, name, b"")
+    folder, name = _flag(url)
+    backend.make_place(folder)
+    backend.put(folder, name, b"")
 
 
 def clear_cancelled(url: str) -> None:
@@ -72,9 +72,9 @@ def is_cancelled(url: str) -> bool:
 
 
 def _flag(url: str) -> tuple[str, str]:
-    """The folder of the flag, which is that of the store, and its name."""
-    place, name = os.path.split(url)
-    return place, f"{name}.cancelled"
+    """The folder that has the store and its flag, and the name of the flag."""
+    folder, name = os.path.split(url)
+    return folder, f"{name}.cancelled"
 
 
 def sweep_leftovers(url: str) -> int:
@@ -96,8 +96,7 @@ def sweep_leftovers(url: str) -> int:
 def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
     """Keep the progress of a chunk in the store at `url`, replacing earlier arrays.
 
-    It only saves time: without it the chunk begins anew, with the same result. Raises OSError, or one of
-    `store.UNREACHABLE`.
+    Without it the chunk begins again, with the same result. Raises OSError, or one of `store.UNREACHABLE`.
     """
     file = io.BytesIO()
     np.savez(file, **arrays)

@@ -127,7 +127,7 @@ def _consolidated(content: Mapping[str, bytes], indent: int | None) -> bytes:
 def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
     """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape.
 
-    arrays: the study's stored arrays; a store that says otherwise is damaged.
+    arrays: the study's stored arrays; a store with others is damaged.
     """
     forms = _forms(url)
     if any(array.name not in forms or forms[array.name].dtype != array.dtype for array in arrays):
@@ -139,9 +139,9 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
     """Store one chunk of every array.
 
     record: every array of the store by name, in the order of its layout (`outcome` last), each of shape
-    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes. Each file is whole
-    and synced before it has its name; `sync_folders` syncs the names. Raises `StoreMissing`, `StoreDamaged`,
-    or `StoreConflict` if the chunk is not one of the store's.
+    chunk.shape + its extra dimensions. Writing the same record again gives the same bytes. Each file is
+    complete and synced before it gets its name; `sync_folders` syncs the names. Raises `StoreMissing`,
+    `StoreDamaged`, or `StoreConflict` if the chunk is not one of the store's.
     """
     forms = _forms(url)
     coords = _owned_coords(forms, url, chunk)
@@ -158,7 +158,7 @@ def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) 
 
 
 def _forms(url: str) -> Mapping[str, ArrayForm]:
-    """The forms of a store's arrays. For a bucket they are kept for a moment, to save a request."""
+    """The forms of a store's arrays; those of a bucket are remembered for a moment, to save requests."""
     if not in_bucket(url):
         return forms_of(root_of(url))
     seen, forms = _recent.get(url, (-math.inf, {}))
@@ -181,20 +181,20 @@ def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) ->
     return tuple(span.start // size for span, size in zip(chunk.slices, outcome.chunks, strict=True))
 
 
-def _keys_of(layout: Layout, chunk: HasSlices) -> dict[str, str]:
-    """The keys of a chunk by array, in the order they are written."""
+def _keys_of(layout: Layout, chunk: HasSlices) -> list[str]:
+    """The keys of a chunk, in the order they are written."""
     coords = layout.coords(chunk.slices)
-    return {array.name: chunk_key(array.name, len(array.dims), coords) for array in layout.arrays}
+    return [chunk_key(array.name, len(array.dims), coords) for array in layout.arrays]
 
 
 def keys_of(layout: Layout, chunks: Iterable[HasSlices]) -> list[str]:
     """The keys of a store with these chunks, the root's metadata last."""
     metadata = [key for key in metadata_of(layout) if key != ROOT]
-    return [*metadata, *(key for chunk in chunks for key in _keys_of(layout, chunk).values()), ROOT]
+    return [*metadata, *(key for chunk in chunks for key in _keys_of(layout, chunk)), ROOT]
 
 
 def restore(url: str, contents: Mapping[str, bytes], layout: Layout) -> None:
-    """Write a whole store from its bytes; it exists with its root, the last of them."""
+    """Write a whole store from its bytes. The root comes last: with it the store exists."""
     backend.make_place(url)
     write_keys(url, {key: contents[key] for key in sorted(contents, key=lambda key: key == ROOT)})
     sync_folders(url, layout)
@@ -202,7 +202,7 @@ def restore(url: str, contents: Mapping[str, bytes], layout: Layout) -> None:
 
 def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
     """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
-    for key in reversed(_keys_of(layout, chunk).values()):
+    for key in reversed(_keys_of(layout, chunk)):
         backend.delete(url, key)
 
 
@@ -222,7 +222,7 @@ def fsync(url: str, folders: Iterable[Path]) -> None:
 
 
 def write_keys(url: str, contents: Mapping[str, bytes]) -> None:
-    """Write keys of a store, each whole or not at all, and the last one after all others."""
+    """Write keys of a store, each completely or not at all, and the last one after all others."""
     keys = list(contents)
     if in_bucket(url):
         list(backend.pool().map(lambda key: backend.put(url, key, contents[key]), keys[:-1]))

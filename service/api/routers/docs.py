@@ -82,7 +82,7 @@ def _anchor(method: str, path: str) -> str:
 
 
 def _fields(schemas: Mapping[str, Any]) -> str:
-    """A table of the fields of the specification, then one of each object that it contains."""
+    """A table of the fields of the specification, then one for each object that it contains."""
     names, tables = ["SweepSpec"], []
     for name in names:
         schema = schemas[name]
@@ -90,9 +90,9 @@ def _fields(schemas: Mapping[str, Any]) -> str:
         names += [part for part in dict.fromkeys(parts) if part not in names]
         required = schema.get("required", [])
         rows = "".join(
-            f"<tr><th scope=row>{escape(field)}</th><td>{_value(of)}</td>"
-            f"<td>{'required' if field in required else _default(of)}</td></tr>"
-            for field, of in schema.get("properties", {}).items()
+            f"<tr><th scope=row>{escape(field)}</th><td>{_value(value)}</td>"
+            f"<td>{'required' if field in required else _default(value)}</td></tr>"
+            for field, value in schema.get("properties", {}).items()
         )
         about = escape(schema.get("description", "").split("\n\n")[0])
         head = "" if name == "SweepSpec" else f'<h3 id="{name}">{name}</h3><p>{about}</p>'
@@ -102,7 +102,7 @@ def _fields(schemas: Mapping[str, Any]) -> str:
 
 
 def _value(schema: Mapping[str, Any]) -> str:
-    """What a field may hold, with links to objects."""
+    """The values of a field, with links to objects."""
     options = schema.get("anyOf", schema.get("oneOf", [schema]))
     return " or ".join(dict.fromkeys(_option(option) for option in options))
 
@@ -155,7 +155,7 @@ def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[
     for parameter in operation.get("parameters", []):
         schema = parameter["schema"]
         options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
-        value = _value({"anyOf": [schemas[_name(each)] if "$ref" in each else each for each in options]})
+        value = _value({"anyOf": [schemas[_name(part)] if "$ref" in part else part for part in options]})
         default = f"default {_default(schema)}" if schema.get("default") is not None else ""
         description = escape(parameter.get("description") or schema.get("description") or "")
         yield parameter["name"], "; ".join(filter(None, [value, default, description]))
@@ -167,5 +167,5 @@ def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[
 
 
 def _name(reference: Mapping[str, Any]) -> str:
-    """The name of the schema that is referred to, or what is no such."""
+    """The name of the schema referred to; for a schema itself, its format."""
     return str(reference.get("$ref", reference.get("format")).rpartition("/")[2])

@@ -16,10 +16,7 @@ def get_liveness() -> Health:
 
 
 @router.get(
-    "/readyz",
-    summary="Readiness",
-    response_model_exclude_defaults=True,
-    responses=problem_responses(503),
+    "/readyz", summary="Readiness", response_model_exclude_defaults=True, responses=problem_responses(503)
 )
 def get_readiness(service: ServiceDep) -> ReadinessView:
     """The ledger can be used, the Dask scheduler answers and has workers: jobs are computed."""

@@ -10,16 +10,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import schemas
 from service.api.capacity import Cost, costly
-from service.api.dependencies import (
-    JobDep,
-    JsonBody,
-    OwnerDep,
-    PageBody,
-    ServiceDep,
-    find_job,
-    stored,
-    tag,
-)
+from service.api.dependencies import JobDep, JsonBody, OwnerDep, PageBody, ServiceDep, find_job, stored, tag
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.errors import InvalidRequest
 from service.formats import MOST_SHARED
@@ -43,7 +34,7 @@ def _post(
     return router.post(path, status_code=statuses[0], **about, **options)
 
 
-#: How often a shared file is in memory while it is imported: as text, as bytes, decoded.
+#: Copies of a shared file in memory while it is imported: as text, as bytes, decoded.
 _COPIES: Final = 4
 
 
@@ -63,10 +54,7 @@ IdempotencyKey = Annotated[
     summary="Submit a sweep",
     status_code=202,
     response_model=JobView,
-    responses={
-        200: {"model": JobView | StudyCost},
-        **problem_responses(400, 408, 409, 413, 415, 422, 429),
-    },
+    responses={200: {"model": JobView | StudyCost}, **problem_responses(400, 408, 409, 413, 415, 422, 429)},
     openapi_extra=json_body("SweepSpec", "OrbitsSpec", "BasinSpec", "MultistabilitySpec"),
 )
 def submit_job(
@@ -116,7 +104,7 @@ def import_file(service: ServiceDep, body: PageBody) -> Response:
 def _submitted(
     service: ServiceDep, submission: Submission, *, kept: bool = True, notice: str | None = None
 ) -> Response:
-    """kept: whether somebody asks for the job itself, so that no budget cancels it."""
+    """The response to a submission. kept: whether a user wants the job, so that no budget cancels it."""
     job, accepted = submission
     if kept:
         service.budgets.disown(job.id)
@@ -158,8 +146,8 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     compiling, budget = service.manager.compiling(job), service.budgets.of(job_id)
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)
-    # Weak, because the estimated time left changes without it.
     reached = None if budget is None else schemas.BudgetView.model_validate(budget)
+    # weak, because the estimated time left changes while the tag stays
     tag(request, *job.revision, len(failures), notice, compiled, reached, weak=True, headers=headers)
     about = {"failures": failures, "notice": notice, "compiling": compiling, "budget": reached}
     return _job_response(job, 200, headers, **about)

@@ -24,12 +24,12 @@ from worker.store import ROOT
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
-#: How often a chunk is in memory while a file is made of it: read, as rows, encoded.
+#: Copies of a chunk in memory while a file is made of it: read, as rows, encoded.
 _CHUNK_COPIES: Final = 12
 
 
 class _OpenFile(StreamingResponse):
-    """A file that is open; it is closed however the request ends, also before anything is read."""
+    """An open file, which is closed however the request ends, also before anything is read."""
 
     def __init__(self, file: IO[bytes], headers: Mapping[str, str], media_type: str) -> None:
         super().__init__(iter(partial(file.read, PIECE), b""), 200, headers, media_type)
@@ -75,7 +75,7 @@ def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.Export
     return _OpenFile(file, headers, MEDIA_TYPES[query.format])
 
 
-#: One range of bytes; a request for several is answered with all bytes, which is allowed.
+#: One range of bytes; the answer to a request for several has all bytes, which is allowed.
 _RANGE: Final = re.compile("bytes=([0-9]{1,18})?-([0-9]{1,18})?")
 
 
@@ -85,7 +85,7 @@ def _zarr_cost(service: ServiceDep, job: JobRecord, key: str, **_: str | None) -
 
 
 def _span(byte_range: str, size: int) -> slice | None:
-    """The bytes that a Range asks for, of `size`; None for one that counts as none (RFC 9110)."""
+    """The part of `size` bytes that a Range asks for; None for a header to ignore (RFC 9110)."""
     match = _RANGE.fullmatch(byte_range)
     if match is None or match.groups() == (None, None):
         return None

@@ -1,6 +1,6 @@
-"""GET /v1/jobs/{job_id}/NAME for every result of a job, GET /v1/NAME for every one of a spring.
+"""GET /v1/jobs/{job_id}/NAME for results of a job, GET /v1/NAME for results of a spring.
 
-And one cell in motion, whose specification is a body: POST /v1/trajectories.
+Also POST /v1/trajectories, the motion of a cell, and POST /v1/plans.
 """
 
 import threading
@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from inspect import cleandoc
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import Annotated, Any, Final, Literal, get_args
 
 from fastapi import APIRouter, Depends, Query, Response
@@ -126,7 +126,7 @@ def _answer(
 def _parts(
     service: Service, view: View, study: Stored[Any] | None, job: JobRecord | None, query: Any
 ) -> Sequence[Any]:
-    """What workers compute for an answer, once if it is kept with the job."""
+    """The results that workers compute for an answer; computed only once if they are kept with the job."""
     if view.parts is None:
         return []
     if not view.kept or job is None:
@@ -138,18 +138,14 @@ def _parts(
         kept = _computed(service, study, view.parts(study, query))
         sentence = view.compute(study, query, *kept).attrs["sentence"]
         with service.ledger.writing() as writing:
-            now = writing.find(job.id)
-            if now is not None and (now.seq, now.state, now.chunks_done) == (
-                job.seq,
-                job.state,
-                job.chunks_done,
-            ):
+            now, results = writing.find(job.id), attrgetter("seq", "state", "chunks_done")
+            if now is not None and results(now) == results(job):
                 writing.keep_answer(job, view.name, asked, kept, sentence)
     return kept
 
 
 def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
-    """What the audit of a job says; None if workers cannot compute it within so many seconds."""
+    """The sentence of a job's audit; None if workers cannot compute it within this many seconds."""
     study, client = dependencies.stored(service, job), Asker(object())
     asked = audit.within(study.spec, seconds * max(service.manager.workers() // 2, 1))
     if asked is None:
@@ -167,9 +163,9 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
 
 
 def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]) -> list[Any]:
-    """The results of these calls. Those of one function are kept together, for every query that has them.
+    """The results of these calls. Those of one function are cached together, for every query that has them.
 
-    Calls that read the store of a job have other results once more chunks are done.
+    Calls that read the store of a job are computed again once more chunks are done.
     """
     results = []
     for _, same in groupby(calls, itemgetter(0)):
@@ -196,14 +192,16 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
     model: Any = create_model(view.query.__name__, __base__=view.query, format=(formats, "json"))
 
     def study_of(service: Service, job: JobRecord | None, query: Any) -> Stored[Any] | None:
-        if job is None or not hasattr(query, "other"):
-            return None if job is None else dependencies.stored(service, job)
+        if job is None:
+            return None
+        study = dependencies.stored(service, job)
+        if not hasattr(query, "other"):
+            return study
         other = dependencies.stored(service, dependencies.find_job(query.other, service))
         if type(other.spec) is not view.study:
-            raise InvalidRequest.of(
-                "other", f"must be a sweep; the protocol of this job is {other.spec.protocol.kind}"
-            )
-        return replace(dependencies.stored(service, job), other=other)
+            rule = f"must be a sweep; the protocol of this job is {other.spec.protocol.kind}"
+            raise InvalidRequest.of("other", rule)
+        return replace(study, other=other)
 
     def cost(service: ServiceDep, job: JobRecord | None, query: Any) -> Cost:
         _, estimate = _asked(service, view, study_of(service, job, query), query)
@@ -256,9 +254,9 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
         measured = ledger.measured()
     preparer = service.manager.preparer
     settings = plans.settings_of(
-        spec, lambda each: preparer.cost(each, preparer.plan(each), measured), service.manager.workers()
+        spec, lambda level: preparer.cost(level, preparer.plan(level), measured), service.manager.workers()
     )
     fields = query.model_dump()
     format, plain = fields.pop("format"), plans.PlanQuery(**fields)
-    [found] = _computed(service, None, plans.parts(settings, plain))
-    return Response(planned(settings, plain, found, format), media_type=MEDIA_TYPES[format])
+    [pilot] = _computed(service, None, plans.parts(settings, plain))
+    return Response(planned(settings, plain, pilot, format), media_type=MEDIA_TYPES[format])

@@ -45,7 +45,6 @@ COMPILED = {
     "log1p": jit(portable_math.log1p),
     "exp": jit(portable_math.exp),
     "asinh": jit(portable_math.asinh),
-    "atanh": jit(portable_math.atanh),
     "hypot": jit(portable_math.hypot),
     "atan2": jit(portable_math.atan2),
 }
@@ -67,14 +66,11 @@ def arguments_of(name, rng):
             ]
         case "asinh":
             return [*10 ** rng.uniform(-300, 300, COUNT), *-(10 ** rng.uniform(-3, 1, COUNT))]
-        case "atanh":
-            return [*10 ** rng.uniform(-300, 0, COUNT), *rng.uniform(-1, 1, COUNT),
-                    *1 - 10 ** rng.uniform(-16, 0, COUNT)]  # fmt: skip
         case _:
             return any_doubles(rng)
 
 
-@for_each("name", ["log", "log1p", "exp", "asinh", "atanh"])
+@for_each("name", ["log", "log1p", "exp", "asinh"])
 def test_one_argument_to_two_units_in_the_last_place(name):
     function, exact = getattr(portable_math, name), getattr(mpmath, name)
     with mpmath.workdps(360):  # 1 + 1e-300 needs so many
@@ -131,7 +127,7 @@ SPECIAL = (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, -5e-324, 1.0, -1.0,
     ("name", "numpys", "arguments"),
     [
         ("log", "log", 1), ("log1p", "log1p", 1), ("exp", "exp", 1), ("asinh", "arcsinh", 1),
-        ("atanh", "arctanh", 1), ("hypot", "hypot", 2), ("atan2", "arctan2", 2),
+        ("hypot", "hypot", 2), ("atan2", "arctan2", 2),
     ],
 )  # fmt: skip
 def test_special_values(name, numpys, arguments):
