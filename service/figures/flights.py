@@ -345,7 +345,8 @@ def _one_period(diagram: xarray.Dataset) -> Claim:
         return compared(False, "(a) never repeats after one plate period")
     cells = diagram.isel(gamma=repeats)
     values, double = cells.gamma.values, cells.bounces.values == 2
-    text = f"in (a) one bounce a plate period for Γ from {values.min():.2f} to {values.max():.2f}"
+    shown = f"Γ from {values.min():.2f} to {values.max():.2f}"
+    text = f"in (a), once settled, one bounce a plate period for {shown}"
     hop = 0.0
     if double.any():
         hop = float(np.max(np.nanmin(cells.flight_time.values[double], axis=1)))
