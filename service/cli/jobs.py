@@ -107,8 +107,8 @@ def run(
     """Compute a sweep without a service, and write it.
 
     The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
-    .png, .svg, .csv or .json. SPEC is as of "bounce submit". Interrupted, it leaves the folder
-    OUTPUT.partial, and the same command goes on there.
+    .png, .svg, .pdf, .csv or .json, or a page .html. SPEC is as of "bounce submit". Interrupted, it
+    leaves the folder OUTPUT.partial, and the same command goes on there.
     With options of a diagram: -o diagram.png --along gamma --omega 0.5.
     """
     from service import local

@@ -1,8 +1,11 @@
 """Measured points for a plot: a table with an axis, flight times or thresholds, and perhaps errors."""
 
+import csv
 import json
 import math
+import re
 from collections.abc import Mapping
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -45,10 +48,10 @@ def measured(
     table = _table(data)
     y, factor = value, np.ones(len(table))
     if value == "flight_time" and "flight_time_ms" in table:
-        if frequency is None and "frequency" not in table:
+        table = table if frequency is None else table.assign(frequency=frequency)
+        if "frequency" not in table:
             raise BounceError("data: flight_time_ms needs the plate's frequency in Hz, as argument or column")
-        hertz = _numbers(table, "frequency") if frequency is None else np.full(len(table), float(frequency))
-        y, factor = "flight_time_ms", 2.0 * math.pi * hertz / 1000.0
+        y, factor = "flight_time_ms", 2.0 * math.pi * _numbers(table, "frequency") / 1000.0
     for name in (along, y):
         if name not in table:
             also = " or flight_time_ms" if name == "flight_time" else ""
@@ -70,7 +73,9 @@ def element(data: Data) -> str:
     for name in table:
         _numbers(table, str(name))
     name = Path(data).name if isinstance(data, str | PathLike) else "data"
-    files = json.dumps([{"name": name, "text": table.to_csv(index=False)}]).replace("<", "\\u003c")
+    value = "flight_time" if {"flight_time", "flight_time_ms"} & set(table) else "gamma"
+    points = {"value": value, "name": name, "text": table.to_csv(index=False)}
+    files = json.dumps([points]).replace("<", "\\u003c")
     return f'<script type="application/json" id="measured">{files}</script>'
 
 
@@ -79,10 +84,14 @@ def _table(data: Data) -> "pandas.DataFrame":
 
     if isinstance(data, str | PathLike):
         try:
-            data = pandas.read_csv(data, comment="#", skipinitialspace=True, nrows=MOST_ROWS + 1)
-        except ValueError as error:  # a ParserError names the line
-            why = f": {error}" if isinstance(error, pandas.errors.ParserError) else ""
-            raise BounceError(f"data: {data} is no table of columns with commas{why}") from None
+            names, *rows = _cells(data)
+        except (ValueError, csv.Error):
+            raise BounceError(f"data: {data} is no table of columns with commas") from None
+        n = len(names)
+        if (longer := next((i for i, row in enumerate(rows, 1) if any(row[n:])), None)) is not None:
+            rule = "commas separate columns, points decimals"
+            raise BounceError(f"data: row {longer} has more cells than there are columns; {rule}")
+        data = pandas.DataFrame([(row + [None] * n)[:n] for row in rows], columns=names)
     try:
         table = pandas.DataFrame(data)
     except ValueError as error:
@@ -91,15 +100,26 @@ def _table(data: Data) -> "pandas.DataFrame":
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:
         raise BounceError(f"data: {unknown[0]:.40} is no column here; these are {', '.join(_COLUMNS)}")
+    if table.columns.has_duplicates:
+        raise BounceError(f"data: {table.columns[table.columns.duplicated()][0]} is there twice")
     return table
+
+
+def _cells(path: str | PathLike[str]) -> list[list[str | None]]:
+    """The lines of a CSV file without comments; None for NaN or nothing. As views/measured.js reads it."""
+    with Path(path).expanduser().open(encoding="utf-8-sig", newline="") as file:
+        lines = csv.reader((line.partition("#")[0] for line in file), skipinitialspace=True)
+        rows = [[cell.strip() for cell in row] for row in islice(filter(any, lines), MOST_ROWS + 2)]
+    return [[None if re.fullmatch("(nan?)?", cell, re.I) else cell for cell in row] for row in rows]
 
 
 def _numbers(table: "pandas.DataFrame", name: str) -> NDArray[np.float64]:
     import pandas
 
     numbers = pandas.to_numeric(table[name], errors="coerce").to_numpy(float)
-    wrong = np.flatnonzero(~np.isfinite(numbers) & table[name].notna().to_numpy())
+    low, rule = (numbers <= 0.0, "above 0") if name == "frequency" else (numbers < 0.0, "of 0 or more")
+    wrong = np.flatnonzero(low | (~np.isfinite(numbers) & table[name].notna().to_numpy()))
     if len(wrong):
         value = str(table[name].iloc[wrong[0]])
-        raise BounceError(f"data: {name} of row {wrong[0] + 1} must be a number, not {value!r:.40}")
+        raise BounceError(f"data: {name} of row {wrong[0] + 1} must be a number {rule}, not {value!r:.40}")
     return numbers

@@ -270,6 +270,10 @@ def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
         page.once("dialog", lambda dialog: dialog.accept("called otherwise"))
         page.get_by_role("button", name="Rename").click()
         page.locator("#bar h1", has_text="called otherwise").wait_for()
+        wait_shown(page, omega=0.61)
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download PNG").click()
+        assert download.value.suggested_filename == "called-otherwise-cycles.png"
 
 
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):

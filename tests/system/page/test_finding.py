@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from disks import read_only
 from PIL import Image
 from scripted import Held, wait_for
-from served import computing_at, service_at
+from served import computing_at, done, service_at
 from studies import spec_of
 
 from kernel.cycles.events import branch_and_events
@@ -146,6 +146,30 @@ def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: li
             assert client.submit(read(page.locator(".snippets pre").inner_text())).id == jobs[0], name
 
 
+def test_copied_python_draws_every_kind_of_study(
+    browser: Any, address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)  # where pictures are written
+    two: dict[str, Any] = {"omega": [0.5, 0.6], "xi": [0.05, 0.1]}
+    plane = {"gamma": [1.0, 1.5], **two, "settle": 40, "observe": 12, "keep": 8}
+    starts = {"rows": 2, "columns": 2}
+    for spec, expected in (
+        (plane, "plot(xi=0.1)"),
+        (plane | {"omega": 0.6}, "plot(xi=0.1)"),
+        (plane | {"gamma": 1.5}, "plot(xi=0.1)"),
+        (two | {"protocol": {"kind": "orbits"}, "modes": ["1-1"]}, "plot(omega=0.6, xi=0.1)"),
+        (plane | {"protocol": {"kind": "multistability", **starts}}, '"png", xi=0.1'),
+        (plane | {"gamma": 1.5, "protocol": {"kind": "basin", **starts}}, '"png", omega=0.6, xi=0.1'),
+    ):
+        job = done(address, {"name": "copied", **spec})
+        with opened(browser, f"{address}/#/job/{job}/details") as page:
+            page.get_by_label("Language").select_option("Python")
+            text = page.locator(".snippets pre").inner_text()
+        assert expected in text
+        exec(text, {})
+    assert {path.name for path in tmp_path.iterdir()} == {"basins.png", "multistability.png"}
+
+
 def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: list[str]):
     with opened(browser, f"{address}/#/job/{jobs[0]}/details") as page, Client(address) as client:
         page.get_by_role("button", name="Audit this sweep").click()
@@ -178,7 +202,9 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         plots = page.locator(".panel .plot")
         assert plots.count() == 1
         plots.first.hover()
-        page.locator(".readout .entry", has_text="sweep: sweep 0.2").wait_for()
+        page.locator(".readout .entry", has_text="sweep: sweep 0.2 · ξ = 0.2").wait_for()
+        texts = page.locator(".panel .plot").inner_text()
+        assert all(text in texts for text in ("Ω = 0.6", "sweep 0.05, ξ = 0.05", "sweep 0.1, ξ = 0.1"))
         screenshot(page, "compare-overlay")
         page.get_by_label("Layout").select_option("side by side")
         assert plots.count() == 3

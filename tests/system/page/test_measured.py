@@ -32,8 +32,9 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
     gamma, time = bouncing.gamma.values[::3], np.nanmax(bouncing.flight_time.values[::3], axis=1)
     hertz, off = 25.0, np.linspace(0.01, 0.03, len(gamma))
     flight_time_ms = (time + off) * 1000 / (2 * math.pi * hertz)
-    rows = [f"{x},{y},{hertz},0.5" for x, y in zip(gamma, flight_time_ms, strict=True)]
-    table = "\n".join(["# of a run", "gamma, flight_time_ms, frequency, error", *rows, f"2.5,30,{hertz},"])
+    rows = [f"{x},0.6,{y},{hertz},0.5" for x, y in zip(gamma, flight_time_ms, strict=True)]
+    names = "gamma, omega, flight_time_ms, frequency, error"  # thresholds have columns of these names
+    table = "\n".join(["# of a run", names, *rows, f"2.5,0.6,30,{hertz},"])
     with opened(browser, f"{address}/#/job/{job}/diagram?omega=0.6&show=down") as page:
         wait_shown(page, omega=0.6)
         page.evaluate(DROP, ["run.csv", "gamma,speed\n1,2"])
@@ -41,8 +42,12 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
             ".problem", has_text="run.csv: speed is no column here; these are gamma, omega"
         ).wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,long"])
-        page.locator(".problem", has_text="flight_time of row 1 must be a number, not 'long'").wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,omega,flight_time\n1,0.6,4\n1,0.9,4\n1,,4"])
+        page.locator(".problem", has_text="must be a number of 0 or more, not 'long'").wait_for()
+        page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,4\n1,5,4,2"])
+        page.locator(".problem", has_text="run.csv: row 2 has more cells than there are columns").wait_for()
+        page.evaluate(DROP, ["run.csv", "gamma,flight_time,frequency\n1,4,0"])
+        page.locator(".problem", has_text="frequency of row 1 must be a number above 0").wait_for()
+        page.evaluate(DROP, ["run.csv", "gamma,omega,flight_time\n1,0.6,4,\n1,0.9,4\n1,NaN,4"])
         page.locator(".measured", has_text=re.compile("2 of 2 points.*; 1 of another Ω or ξ left")).wait_for()
         page.evaluate(DROP, ["run.csv", table])
         said = page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points")

@@ -13,7 +13,7 @@ import { CyclesView } from "../views/cycles.js";
 import { buildFrame } from "../views/frame.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
-const GRID = { gamma: range(0.1, 8, 0.01), omega: range(0.1, 2, 0.005), xi: range(0, 1, 0.005) };
+const GRID = { gamma: range(0.1, 8, 0.01), omega: range(0.12, 2, 0.005), xi: range(0, 1, 0.005) };
 const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
 const LONGEST = 6; // plate periods of a cycle
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };

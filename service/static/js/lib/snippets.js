@@ -1,6 +1,7 @@
 // A specification as text to copy: a program in Python, a TOML file for the shell, a request with curl, JSON.
 
 import { copyButton, h } from "./dom.js";
+import { AXES, isSweep } from "./physics.js";
 
 const PYTHON = { null: "None", true: "True", false: "False" };
 
@@ -14,13 +15,24 @@ function toml(value) {
   return `{ ${Object.entries(value).filter(([, item]) => item !== null).map(([name, item]) => `${name} = ${toml(item)}`).join(", ")} }`;
 }
 
+/** How Python draws a study, at the last value of each axis that is not drawn; nothing of a kind of an extension. */
+function drawing(spec) {
+  const { kind } = spec.protocol;
+  const long = AXES.filter((axis) => (spec[axis]?.num ?? spec[axis]?.length) > 1);
+  const drawn = { basin: [], orbits: [], multistability: ["gamma", "omega"] }[kind] ?? long.slice(0, long[1] === "omega" ? 2 : 1);
+  const at = long.filter((axis) => !drawn.includes(axis)).map((axis) => `${axis}=${[spec[axis].stop ?? spec[axis]].flat().at(-1)}`);
+  if (isSweep(spec) || kind === "orbits") return `\n    job.plot(${at.join(", ")})`;
+  const name = { basin: "basins", multistability: kind }[kind];
+  const content = `job.result_file(${[`"${name}"`, '"png"', ...at].join(", ")})`;
+  return name ? `\n    with open("${name}.png", "wb") as file:\n        file.write(${content})` : "";
+}
+
 const LANGUAGES = {
   Python: (spec) => `from bouncing_spring import Client
 
 spec = ${python(spec)}
 with Client("${location.origin}") as client:
-    job = client.submit(spec).wait()
-    job.plot()
+    job = client.submit(spec).wait()${drawing(spec)}
 `,
   TOML: (spec) => `# bounce submit sweep.toml --wait --url ${location.origin}
 ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`).join("\n")}
@@ -33,7 +45,8 @@ ${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value])
 /** The specification in a language of choice, with a button that copies it; `show(spec)` changes it. */
 export class Snippets {
   constructor(language = "Python") {
-    this.select = h("select", { "aria-label": "Language", onchange: () => this.#update() }, Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name)));
+    const options = Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name));
+    this.select = h("select", { "aria-label": "Language", onchange: () => this.show() }, options);
     const copy = copyButton(() => {
       getSelection().selectAllChildren(this.text); // for browsers that do not allow copying: a service without https
       return this.text.textContent;
@@ -42,12 +55,8 @@ export class Snippets {
     this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), copy), this.text);
   }
 
-  show(spec) {
+  show(spec = this.spec) {
     this.spec = spec;
-    this.#update();
-  }
-
-  #update() {
-    this.text.textContent = LANGUAGES[this.select.value](this.spec);
+    this.text.textContent = LANGUAGES[this.select.value](spec);
   }
 }

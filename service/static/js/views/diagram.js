@@ -43,15 +43,12 @@ export class Diagram extends PlotView {
       this.closedForm && this.closedForm.element,
       !this.isCompared && !this.isFollower && minFlightInput(this.job));
     this.build(root, { controls, shown: this.isCompared ? [options] : [options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
-    if (this.job.spec.exponents && !this.isCompared) this.#buildExponents();
-  }
-
-  /** The largest Lyapunov exponent on the axis of the diagram, below it. */
-  #buildExponents() {
+    if (!this.job.spec.exponents || this.isCompared) return;
     this.exponents = new Plot(this.plot.element.parentElement, { signal: this.signal, takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
     this.plot.element.addEventListener("drawn", () => this.exponents.draw());
   }
 
+  /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #exponents() {
     const { left, width, x } = this.plot.box;
     const points = this.lines.map((line) => Array.from(line.values, (value, cell) => [value, exponentOf(line, cell)]).filter(([, exponent]) => Number.isFinite(exponent)));
@@ -87,9 +84,7 @@ export class Diagram extends PlotView {
   /** Beside a map, its window along Γ. */
   get window() {
     const window = super.window;
-    if (!this.isBeside || !window) return window;
-    const { y0, y1 } = this.whole();
-    return { ...window, y0, y1 };
+    return this.isBeside && window ? { ...this.whole(), x0: window.x0, x1: window.x1 } : window;
   }
 
   #directionBoxes() {
@@ -183,11 +178,18 @@ export class Diagram extends PlotView {
     return (x) => lines.flatMap((line) => Array.from(flightsIn(line, nearestIndex(line.values, x))));
   }
 
-  /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the sweep. */
+  /** The fixed axes that have one value in all lines, or those of compared sweeps that have several. */
+  #fixed(areSame) {
+    const [{ fixed }] = this.lines;
+    return Object.keys(fixed).filter((axis) => this.lines.every((line) => isClose(line.fixed[axis], fixed[axis])) === areSame);
+  }
+
+  /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the values they share. */
   #title() {
     const [line] = this.lines;
-    if (!line || this.isCompared) return "";
-    const fixed = Object.entries(line.fixed).map(([axis, value]) => `${SYMBOL[axis]} = ${number(value)}`).join(",   ");
+    if (!line) return "";
+    const fixed = this.#fixed(true).map((axis) => valueText(axis, line)).join(",   ");
+    if (this.isCompared) return fixed;
     const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
     const computed = line.computed ? `,   ${line.computed.reduce((sum, value) => sum + value, 0)} of ${line.computed.length} cells computed` : "";
     return this.prefix + fixed + thinned + computed;
@@ -195,8 +197,9 @@ export class Diagram extends PlotView {
 
   /** The directions of a ramp, or the sweeps. */
   #legend() {
+    const several = this.lines.length ? this.#fixed(false) : [];
     const entries = this.isCompared
-      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [shortened(titleOf(line.source.job)), line])
+      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [sweepText(line, several), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
     return entries.length < 2 && (this.isCompared || this.directions[0] === "rest") ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
   }
@@ -242,6 +245,7 @@ export class Diagram extends PlotView {
     return [
       [SYMBOL[this.along], ({ line, cell }) => number(line.values[cell])],
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
+      ...(first ? this.#fixed(false).map((axis) => [SYMBOL[axis], ({ line }) => number(line.fixed[axis])]) : []),
       ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
       ...cellColumns(first ?? {}, ({ line, cell }) => [line, cell]),
       ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
@@ -335,5 +339,10 @@ const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort())
 
 /** The first flight times of a list, or the whole list. */
 const flightsText = (times, whole) => `${times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ")}${!whole && times.length > MAX_LISTED ? " …" : ""}`;
+
+const valueText = (axis, { fixed }) => `${SYMBOL[axis]} = ${number(fixed[axis])}`;
+
+/** The name of a line's sweep, shortened, with its values of some axes. */
+const sweepText = (line, axes) => [shortened(titleOf(line.source.job)), ...axes.map((axis) => valueText(axis, line))].join(", ");
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

@@ -67,10 +67,10 @@ export class JobView {
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
     if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
-    this.job = job;
+    this.job = Object.assign(this.job ?? {}, job); // the views have it too
     this.#describe();
     if (isFirst) this.show();
-    else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(job));
+    else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(this.job));
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
     if (this.#follows(job)) return;
     if (isGoing(job)) this.#pollAfter(POLL_MS);
@@ -117,7 +117,7 @@ export class JobView {
     const unsettled = shared ? [shared.note].filter(Boolean) : settling(job);
     this.settling.hidden = !unsettled.length;
     this.settling.replaceChildren(...unsettled);
-    this.problem.show(this.#failure());
+    this.problem.show(job.error ? new Error(`The sweep failed: ${job.error}`) : null);
   }
 
   #onChange(job) {
@@ -125,7 +125,7 @@ export class JobView {
       navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
       return;
     }
-    this.job = job;
+    Object.assign(this.job, job);
     this.#describe();
     this.#pollAfter(POLL_MS / 2);
   }
@@ -148,17 +148,13 @@ export class JobView {
     this.leaving?.abort();
     this.leaving = new AbortController(); // of this tab
     this.controls.replaceChildren();
-    this.problem.show(this.#failure());
+    this.#describe(); // the problem of another tab is over
     const [, View] = tabs[current];
     const common = { sources: [sourceOf(this.job)], signal: AbortSignal.any([this.signal, this.leaving.signal]), onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
-    this.#showBeside(current === "modes" && WIDE.matches, common);
+    const isBeside = current === "modes" && WIDE.matches; // the diagram at the Ω under the pointer
+    this.second.hidden = !isBeside;
+    this.beside = isBeside ? new Diagram(this.second, { ...common, isBeside, isFollower: true }) : null;
     this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
-  }
-
-  /** Beside a map on a wide screen, the diagram at the Ω under the pointer. */
-  #showBeside(isShown, common) {
-    this.second.hidden = !isShown;
-    this.beside = isShown ? new Diagram(this.second, { ...common, isBeside: true, isFollower: true }) : null;
   }
 
   #pointBeside(view, gamma, omega) {
@@ -199,9 +195,5 @@ export class JobView {
     setQuery({ cell: null });
     this.#showSelectedCell();
     this.panel.querySelector(".plot")?.focus();
-  }
-
-  #failure() {
-    return this.job.error ? new Error(`The sweep failed: ${this.job.error}`) : null;
   }
 }

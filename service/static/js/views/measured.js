@@ -12,16 +12,17 @@ const COLUMNS = ["gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequ
 const MOST_ROWS = 100_000;
 const NEAR = 1e-6; // relative, of values that are the same
 const SIZE = 4.5; // px, of half a marker
+const RULE = "commas separate columns, points decimals";
 
-/** The files that were dropped, until the page is left: {name, text, rows} by job and value. */
+/** The files that were dropped, until the page is left: {name, text, value, rows} by job and value. */
 const kept = new Map();
-/** Those of a shared file, [{name, text}, …]. */
+/** Those of a shared file, [{name, text, value}, …]. */
 const GIVEN = JSON.parse(document.getElementById("measured")?.textContent ?? "[]");
 
 /** The download of a sweep as a page to share, with what was dropped on its plots. */
 export const sharedPage = (job) => ["a page to share", () => fileName(job, "sweep", "html"), async () => {
   const page = await requestBlob(`/v1/jobs/${job.id}/export?format=html`);
-  const files = [...kept].filter(([key]) => key.startsWith(job.id)).map(([, { name, text }]) => ({ name, text }));
+  const files = [...kept].filter(([key]) => key.startsWith(job.id)).map(([, { name, text, value }]) => ({ name, text, value }));
   return files.length ? new Blob([page, `<script type="application/json" id="measured">${JSON.stringify(files).replaceAll("<", "\\u003c")}</script>`]) : page;
 }];
 
@@ -36,28 +37,19 @@ export class MeasuredPoints {
     this.text = h("span", {});
     this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", h("button", { type: "button", className: "link", onclick: () => this.#keep(null) }, "remove"));
     this.element = h("div", {}, this.problem.element, this.line);
-    for (const file of GIVEN) {
-      try {
-        if (!kept.has(this.key)) kept.set(this.key, this.#read(file));
-      } catch {
-        continue; // it is of another plot
-      }
-    }
+    const given = GIVEN.find((file) => file.value === value);
+    if (given && !kept.has(this.key)) this.take({ ...given, text: () => given.text });
   }
 
   /** Take a file that was dropped. */
   async take(file) {
     try {
-      this.#keep(this.#read({ name: file.name, text: await file.text() }));
+      const text = await file.text();
+      this.#keep({ name: file.name, text, value: this.value, rows: tableOf(text, this.view.along, this.value) });
       announce(this.text.textContent);
     } catch (error) {
       this.problem.show(new Error(`${file.name}: ${error.message}.`));
     }
-  }
-
-  #read({ name, text }) {
-    const rows = tableOf(text, this.view.along, this.value);
-    return { name, text, rows: rows.filter((row) => Number.isFinite(row[this.view.along]) && Number.isFinite(row[this.value])) };
   }
 
   #keep(table) {
@@ -112,25 +104,29 @@ export class MeasuredPoints {
   }
 }
 
-/** The rows of a CSV text as objects of numbers, NaN where a cell is empty. Throws an Error that names the column, or the row, from 1. */
+/** The rows of a CSV text with both values: numbers by column, NaN where a cell is empty. Throws an Error naming column or row, from 1. */
 function tableOf(text, along, value) {
   const [names, ...rows] = text.split(/\r?\n/).map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
     .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1")));
   if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
   if (rows.length > MOST_ROWS) throw new Error(`has more than ${MOST_ROWS} rows`);
-  const unknown = names.find((name) => !COLUMNS.includes(name));
-  if (unknown !== undefined) throw new Error(`${unknown.slice(0, 40)} is no column here; these are ${COLUMNS.join(", ")}, separated by commas`);
+  const unknown = names.find((name, i) => !COLUMNS.includes(name) || names.indexOf(name) < i);
+  const wrong = COLUMNS.includes(unknown) ? "there twice" : "no column here";
+  if (unknown !== undefined) throw new Error(`${unknown.slice(0, 40)} is ${wrong}; these are ${COLUMNS.join(", ")}, separated by commas`);
   const inMs = value === "flight_time" && names.includes("flight_time_ms");
   if (inMs && !names.includes("frequency")) throw new Error("flight_time_ms needs the plate's frequency in Hz, as a column");
   const missing = [along, inMs ? "flight_time_ms" : value].find((name) => !names.includes(name));
   if (missing) throw new Error(`needs the column ${missing}${missing === "flight_time" ? " or flight_time_ms" : ""}; it has ${names.join(", ")}`);
   const numberIn = (cell = "", name, row) => {
-    if (cell !== "" && !Number.isFinite(Number(cell))) throw new Error(`${name} of row ${row + 1} must be a number, not '${cell.slice(0, 40)}'; commas separate columns, points decimals`);
-    return cell === "" ? NaN : Number(cell);
+    const [value, rule] = [Number(cell), name === "frequency" ? "above 0" : "of 0 or more"];
+    if (/^(nan?)?$/i.test(cell)) return NaN;
+    if (Number.isFinite(value) && (value > 0 || (value === 0 && name !== "frequency"))) return value;
+    throw new Error(`${name} of row ${row + 1} must be a number ${rule}, not '${cell.slice(0, 40)}'; ${RULE}`);
   };
   return rows.map((cells, i) => {
+    if (cells.slice(names.length).some(Boolean)) throw new Error(`row ${i + 1} has more cells than there are columns; ${RULE}`);
     const row = Object.fromEntries(names.map((name, k) => [name, numberIn(cells[k], name, i)]));
     const radPerMs = (TWO_PI * row.frequency) / 1000;
     return inMs ? { ...row, flight_time: row.flight_time_ms * radPerMs, error: row.error * radPerMs } : row;
-  });
+  }).filter((row) => Number.isFinite(row[along] + row[value]));
 }

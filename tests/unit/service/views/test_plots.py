@@ -12,6 +12,7 @@ from studies import spec_of
 from tables import for_each
 
 from service.client import BounceError, Client, Job
+from service.client.measured import element, measured
 from service.pictures import AXES, DIFFER, FLIGHT, HATCH
 
 RAMP = spec_of((0.5, 1.5, 21), [0.6, 0.9, 1.2], 0.05, ramp="both", window=(60, 20, 4))
@@ -116,10 +117,29 @@ def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
     np.testing.assert_allclose(residuals(ax), [0.01], atol=1e-9)
 
 
+def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
+    """A comma at the end of each line is none; with decimal commas other numbers would be read."""
+    file = tmp_path / "measured.csv"
+    file.write_text("omega,gamma,flight_time\n0.6,1.5,4.2,\n0.6,2.0,NaN,,\n0.6,,\n")
+    points = measured(file, "gamma", "flight_time", {"omega": 0.6})
+    np.testing.assert_array_equal(points.x, [1.5, 2.0, math.nan])
+    np.testing.assert_array_equal(points.y, [4.2, math.nan, math.nan])
+    assert '"value": "flight_time"' in element(file)  # thresholds have columns of these names too
+    for text, rule in (
+        ("gamma,flight_time\n1,4\n1,5,4,2\n", "data: row 2 has more cells than there are columns"),
+        ("gamma,flight_time,gamma\n1,4,1\n", "data: gamma is there twice"),
+        ("gamma,flight_time_ms,frequency\n1,4,0\n", "frequency of row 1 must be a number above 0, not '0'"),
+    ):
+        file.write_text(text)
+        with pytest.raises(BounceError, match=rule):
+            measured(file, "gamma", "flight_time", {})
+
+
 @for_each(("data", "rule"), [
     ({"gamma": [1.0]}, "data: needs the column flight_time or flight_time_ms; it has gamma"),
     ({"flight_time": [1.0]}, "data: needs the column gamma; it has flight_time"),
-    ({"gamma": [1.0], "flight_time": ["long"]}, "data: flight_time of row 1 must be a number, not 'long'"),
+    ({"gamma": [1.0], "flight_time": ["long"]}, "of row 1 must be a number of 0 or more, not 'long'"),
+    ({"gamma": [1.0], "flight_time": [2.0], "error": [-1.0]}, "error of row 1 must be a number of 0 or more"),
     ({"gamma": [1.0], "flight_time_ms": [9.0]}, "data: flight_time_ms needs the plate's frequency in Hz"),
     ({"gamma": [1.0], "speed": [9.0]}, "data: speed is no column here; these are gamma, omega, xi"),
     ({"gamma": [1.0], "omega": [0.7], "flight_time": [2.0]}, "data: no point is at omega = 0.6, xi = 0.05"),
