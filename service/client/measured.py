@@ -1,11 +1,9 @@
 """Measured points for a plot: a table with an axis, flight times or thresholds, and perhaps errors."""
 
-import csv
 import json
 import math
-import re
+import warnings
 from collections.abc import Mapping
-from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -84,14 +82,18 @@ def _table(data: Data) -> "pandas.DataFrame":
 
     if isinstance(data, str | PathLike):
         try:
-            names, *rows = _cells(data)
-        except (ValueError, csv.Error):
-            raise BounceError(f"data: {data} is no table of columns with commas") from None
-        n = len(names)
-        if (longer := next((i for i, row in enumerate(rows, 1) if any(row[n:])), None)) is not None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", pandas.errors.ParserWarning)  # of cells beyond the columns
+                read = pandas.read_csv(
+                    data, comment="#", skipinitialspace=True, index_col=False, nrows=MOST_ROWS + 1
+                )
+        except (pandas.errors.ParserWarning, pandas.errors.ParserError) as error:
             rule = "commas separate columns, points decimals"
-            raise BounceError(f"data: row {longer} has more cells than there are columns; {rule}")
-        data = pandas.DataFrame([(row + [None] * n)[:n] for row in rows], columns=names)
+            line = f" ({str(error).strip()})" if isinstance(error, ValueError) else ""
+            raise BounceError(f"data: a row has more cells than there are columns{line}; {rule}") from None
+        except ValueError:
+            raise BounceError(f"data: {data} is no table of columns with commas") from None
+        data = read.rename(columns=str.strip)
     try:
         table = pandas.DataFrame(data)
     except ValueError as error:
@@ -100,17 +102,7 @@ def _table(data: Data) -> "pandas.DataFrame":
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:
         raise BounceError(f"data: {unknown[0]:.40} is no column here; these are {', '.join(_COLUMNS)}")
-    if table.columns.has_duplicates:
-        raise BounceError(f"data: {table.columns[table.columns.duplicated()][0]} is there twice")
     return table
-
-
-def _cells(path: str | PathLike[str]) -> list[list[str | None]]:
-    """The lines of a CSV file without comments; None for NaN or nothing. As views/measured.js reads it."""
-    with Path(path).expanduser().open(encoding="utf-8-sig", newline="") as file:
-        lines = csv.reader((line.partition("#")[0] for line in file), skipinitialspace=True)
-        rows = [[cell.strip() for cell in row] for row in islice(filter(any, lines), MOST_ROWS + 2)]
-    return [[None if re.fullmatch("(nan?)?", cell, re.I) else cell for cell in row] for row in rows]
 
 
 def _numbers(table: "pandas.DataFrame", name: str) -> NDArray[np.float64]:

@@ -120,14 +120,15 @@ def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
 def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
     """A comma at the end of each line is none; with decimal commas other numbers would be read."""
     file = tmp_path / "measured.csv"
-    file.write_text("omega,gamma,flight_time\n0.6,1.5,4.2,\n0.6,2.0,NaN,,\n0.6,,\n")
+    file.write_text("omega,gamma,flight_time\n0.6,1.5,4.2,\n0.6,2.0,NaN,\n0.6,,,\n")
     points = measured(file, "gamma", "flight_time", {"omega": 0.6})
     np.testing.assert_array_equal(points.x, [1.5, 2.0, math.nan])
     np.testing.assert_array_equal(points.y, [4.2, math.nan, math.nan])
     assert '"value": "flight_time"' in element(file)  # thresholds have columns of these names too
     for text, rule in (
-        ("gamma,flight_time\n1,4\n1,5,4,2\n", "data: row 2 has more cells than there are columns"),
-        ("gamma,flight_time,gamma\n1,4,1\n", "data: gamma is there twice"),
+        ("gamma,flight_time\n1,4\n1,5,4,2\n", "data: a row has more cells than there are columns"),
+        ("gamma,flight_time\n1,5,4,2\n", "data: a row has more cells than there are columns"),
+        ("gamma,flight_time,gamma\n1,4,1\n", "data: gamma.1 is no column here"),
         ("gamma,flight_time_ms,frequency\n1,4,0\n", "frequency of row 1 must be a number above 0, not '0'"),
     ):
         file.write_text(text)
