@@ -120,7 +120,7 @@ def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
         else:
             good, lasting = i, Crept(steps[i].cell, line, gone)
         i = (good + bad) // 2
-    return lasting
+    return None if lasting is None else lasting._replace(gone=gone)
 
 
 def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:

@@ -87,7 +87,7 @@ class _Stretch(NamedTuple):
 
     points: list[Point]
     broken: Broken | None = None
-    beyond: Point | None = None  # the first broken solution, `step` behind the last cycle
+    beyond: Point | None = None  # the first broken solution, `step` beyond the last cycle
     step: float = 0.0
 
 

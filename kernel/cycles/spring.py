@@ -154,11 +154,13 @@ def _response_series(b: Number, w: Number) -> Array:
     return series
 
 
-#: Coefficients (m, 2) of t**3, t**4, ... in t - sin t and in 1 - cos t - t**2/2.
-_CIRCULAR_SERIES: Final = np.array([
-    [a, 0.0] if n % 2 else [0.0, a]
-    for n, a in ((n, (-1.0) ** (n // 2 + 1) / math.factorial(n)) for n in range(3, _TERMS))
-])  # fmt: skip
+def _circular_series() -> Array:
+    """Coefficients (m, 2) of t**3, t**4, ... in t - sin t and in 1 - cos t - t**2/2."""
+    terms = [(-1.0) ** (n // 2 + 1) / math.factorial(n) for n in range(3, _TERMS)]
+    return np.array([[a, 0.0] if n % 2 else [0.0, a] for n, a in enumerate(terms, 3)])
+
+
+_CIRCULAR_SERIES: Final = _circular_series()
 
 
 def _summed(t: Array, lowest: int, series: Array) -> Array:

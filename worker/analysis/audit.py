@@ -329,7 +329,7 @@ def _stepped(
     own, coarse, fine = (_last(line, spec.micro_flight, bounces) for line in lines)
     deviation, decided = np.inf, len(coarse) == len(fine)
     part = len(own) < bounces  # less than a cycle is kept
-    if decided and (part or len(own) == len(fine)):
+    if decided and (len(own) == len(fine) or (part and len(fine))):
         extrapolated = fine + (fine - coarse) / ((STEPS[1] / STEPS[0]) ** 2 - 1.0)
         deviation = (nearest if part else sorted_apart)(extrapolated, own)
         decided = bool(np.max(np.abs(fine - coarse), initial=0.0) <= tolerance)

@@ -103,6 +103,8 @@ def import_shared(
         job = adopt(ledger, settings, name)
     except NotAdoptable as error:
         store.remove(url)
+        if ledger.find(job_id) is None:
+            raise InvalidRequest.of("file", _DAMAGED) from error
         raise IllegalTransition("the sweep of this file was submitted meanwhile: import it again") from error
     except BaseException:
         store.remove(url)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from contacts import rigid
 
-from kernel.creep import rotation, run
+from kernel.creep import Crept, _lasting, rotation, run
 from kernel.cycles.descent import cycle_of
 from kernel.line import run_line
-from kernel.params import Cell, Outcome
+from kernel.params import Cell, Outcome, empty_line
 from kernel.search import Searched, random_starts, search, starts_of
 
 #: Omega, xi, effort, at most where bouncing ends, and what ends there.
@@ -50,6 +50,15 @@ def test_what_dies_out_beyond_a_cycle_is_no_torus():
     result = search(rigid(0.0), 0.592, 0.0215, effort=0)
     assert result.gamma == pytest.approx(0.4796886320, abs=1e-9)
     assert "ss (2,2) ends at a neimark-sacker" in result.what
+
+
+def test_what_dies_out_is_gone_at_the_step_below_the_last_that_lasts(monkeypatch: pytest.MonkeyPatch):
+    steps = [Crept(Cell(1.0 - 0.1 * i, 0.46, 0.05), empty_line(1, 1), 0.0) for i in range(8)]
+    monkeypatch.setattr(
+        "kernel.creep._bouncing", lambda plate, cell, *_: empty_line(1, 1) if cell.gamma > 0.65 else None
+    )
+    lasting = _lasting(None, steps, 0.25)
+    assert (lasting.cell, lasting.gone) == (steps[3].cell, steps[4].cell.gamma)
 
 
 def test_a_rotation_number_is_that_of_the_flights():

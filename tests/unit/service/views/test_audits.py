@@ -11,13 +11,14 @@ from scripted import Held
 from served import finished, service
 from studies import spec_of
 
+from kernel.params import Cell
 from service.local import computed
 from service.views.audit import affordable, is_compiled
 from worker.analysis import audit
 from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
 from worker.analysis.planning import Setting, Share, candidates, recommended
-from worker.spec.contact_models import Soft
+from worker.spec.contact_models import Soft, Stepped
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE
 
@@ -144,6 +145,27 @@ def test_time_steps_do_not_follow_the_cells_of_another_contact(tmp_path):
     ]
     assert deviations
     assert all(deviation > 1e-3 or deviation < 0 for deviation in deviations)
+
+
+def test_time_steps_that_come_to_rest_differ_from_a_part_of_a_cycle(tmp_path, monkeypatch):
+    soft = {"kind": "soft", "penetration": 1e-2, "restitution": 0.2}
+    cells = {"gamma": 1.2, "omega": [0.5, 0.6, 0.7], "xi": 0.26, "keep": 1}
+    spec = SweepSpec(**PLANE | cells | {"model": soft})
+    begin = audit._scalar_run
+
+    def begin_at_rest(model, cells, starts, **window):
+        resting = isinstance(model, Stepped)
+        return begin(model, [Cell(0.1, 0.5, 0.26)] if resting else cells, starts, **window)
+
+    monkeypatch.setattr(audit, "_scalar_run", begin_at_rest)
+    monkeypatch.setattr(audit, "Start", lambda *_: None)
+    with computed(spec, tmp_path, progress=False) as done:
+        parts = [look(spec, done.job.store_url, None, 4, 4, 0, 1e-3, part) for part in range(PARTS)]
+    names = ("set", "bounces", "deviation")
+    rows = [row for part in parts for row in zip(*(part[name] for name in names), strict=True)]
+    of_part = [deviation for number, n, deviation in rows if SETS[number] == "integrator" and n > 1]
+    assert of_part
+    assert set(of_part) == {-1.0}
 
 
 def test_cells_that_may_settle_longer_make_an_audit_dearer():

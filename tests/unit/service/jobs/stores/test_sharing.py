@@ -7,6 +7,7 @@ from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
@@ -133,6 +134,26 @@ def test_what_is_none_is_refused_in_one_sentence(
     assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
     assert get(client, "/v1/jobs")["jobs"] == []
     wait_for(lambda: not list((folder / "stores").glob("*.zarr*")))
+
+
+@pytest.mark.parametrize(("status", "said"), [(422, "is damaged"), (409, "submitted meanwhile")])
+def test_a_store_that_is_not_adopted_says_why(
+    shared: tuple[bytes, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int,
+    said: str,
+):  # fmt: skip
+    with computing(tmp_path) as client:
+
+        def restore(url: str, *rest: Any) -> None:
+            restored(url, *rest)
+            if status == 409:
+                client.post("/v1/jobs", json=RAMP)
+            else:
+                Path(url, "zarr.json").write_text("{")
+
+        restored = store.restore
+        monkeypatch.setattr(store, "restore", restore)
+        answer = client.post("/v1/imports", content=shared[0], headers=HTML)
+        assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
 
 
 def test_a_store_too_large_for_a_file_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
