@@ -108,12 +108,18 @@ def _results_job(job: JobDep, service: ServiceDep, request: Request) -> JobRecor
 ResultsJob = Annotated[JobRecord, Depends(_results_job)]
 
 
-def _store_job(job_id: str, service: ServiceDep, request: Request) -> JobRecord:
-    """As `_results_job`, but 410 for an unknown job: readers of zarr take 404 for a chunk of fill values."""
+def find_store_job(job_id: str, service: ServiceDep) -> JobRecord:
+    """As `find_job`, but 410 for an unknown job: readers of zarr take 404 for a chunk of fill values."""
     try:
-        return _results_job(find_job(job_id, service), service, request)
+        return find_job(job_id, service)
     except UnknownJob as error:
         raise HTTPException(410, str(error)) from None
+
+
+def _store_job(
+    job: Annotated[JobRecord, Depends(find_store_job)], service: ServiceDep, request: Request
+) -> JobRecord:
+    return _results_job(job, service, request)
 
 
 #: The job whose store is read.

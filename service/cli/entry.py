@@ -1,8 +1,8 @@
 """The program `bounce`, which signals end at any moment.
 
 SIGINT, SIGTERM and SIGHUP mean exit code 128 + the signal and no traceback, also while modules are imported,
-kernels compiled and workers started. A command that takes long to end is killed: results on the disk are
-complete at any moment. `bounce serve` handles SIGINT and SIGTERM itself.
+kernels compiled and workers started. A command that takes long to end is killed: files on the disk are
+whole at any moment. `bounce serve` handles SIGINT and SIGTERM itself.
 """
 
 import logging

@@ -240,19 +240,21 @@ def watch(client: "Client", interval: float) -> None:
                 ended[id] = client.job(id)
         return [*listed.values(), *(job for id, job in ended.items() if id not in listed)]
 
+    now = jobs()
+    shown = output.job_table(now)
     if not console.is_terminal:
-        click.echo(output.job_table(jobs()))
+        click.echo(shown)
         return
     with Live(console=console, auto_refresh=False) as live:
         while True:
+            live.update(Text(shown), refresh=True)
+            unfinished = {job.id for job in now if not job.finished}
+            time.sleep(interval)
             try:
                 now = jobs()
                 shown = output.job_table(now)
-                unfinished = {job.id for job in now if not job.finished}
             except errors.ServiceUnreachable as error:  # it may come back
                 shown = str(error)
-            live.update(Text(shown), refresh=True)
-            time.sleep(interval)
 
 
 @click.command()

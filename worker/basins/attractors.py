@@ -36,7 +36,7 @@ CYCLE_FLIGHTS: Final = 256
 #: Flights of a start without a cycle that estimate its distribution.
 START_FLIGHTS: Final = 64
 
-#: Representatives of a group of starts on a cycle.
+#: Representatives of a group of starts on a cycle, and of the aperiodic drops of a cell.
 CYCLE_REPRESENTATIVES: Final = 4
 
 #: Plate periods, and maximum flights, for the distribution of an aperiodic representative.

@@ -20,7 +20,7 @@ from service.ledger.model import JobRecord, JobState
 from service.views import exports
 from service.views.encode import GROUP_BYTES
 from service.views.selection import BASE_MEMORY
-from worker.store import ROOT
+from worker.store import ROOT, StoreDamaged
 
 router = APIRouter(prefix="/v1/jobs/{job_id}", tags=["results"])
 
@@ -124,9 +124,13 @@ def get_zarr_file(
     bucket.
     """
     prepared = service.manager.preparer.prepare(job)
-    content = prepared.read_file(key, complete=job.state is JobState.DONE, begun=job.chunks_done > 0)
-    if content is None:
-        raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
+    try:
+        content = prepared.read_file(key, complete=job.state is JobState.DONE, begun=job.chunks_done > 0)
+        if content is None:
+            raise HTTPException(404, f"the job's store has nothing under the key {key[:80]!a}")
+    except (HTTPException, StoreDamaged):
+        dependencies.find_store_job(job.id, service)  # it may be deleted meanwhile
+        raise
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
     if key == ROOT:
         headers["Bounce-Store"] = quote(prepared.store_url, safe="/:@+,;=~()[] ")

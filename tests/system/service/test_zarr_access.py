@@ -19,6 +19,7 @@ from zarr.core.buffer import default_buffer_prototype
 
 from service.client import Client, NotFound
 from service.client.zarr_store import HTTPStore
+from service.jobs.prepare import PreparedJob
 from worker.study import layout
 
 ORIGIN = "https://viewer.example"
@@ -189,3 +190,18 @@ def test_of_a_deleted_job_no_cell_is_read_as_missing(tmp_path: Path):
             without_client.flights.load()
         with pytest.raises(NotFound, match="was it deleted"):
             job.open()
+
+
+def test_of_a_job_deleted_before_its_file_is_read_no_cell_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with computing(tmp_path) as client:
+        here, read = finished(client, RAMP), PreparedJob.read_file
+
+        def read_late(job: PreparedJob, key: str, **state: bool) -> bytes | None:
+            client.delete(here)
+            wait_for(lambda: not Path(job.store_url).exists())
+            return read(job, key, **state)
+
+        monkeypatch.setattr(PreparedJob, "read_file", read_late)
+        assert client.get(f"{here}/zarr/{KEY}").status_code == 410
