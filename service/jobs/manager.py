@@ -93,8 +93,8 @@ class JobManager:
     ) -> Submission:
         """Accept a study, or return its existing job; a failed or cancelled one is resumed.
 
-        key: an idempotency key; a repeated request with the same key changes nothing, whatever has happened
-        to the job. owner: name of the caller's access token, if it has one. replaces: an outdated job of the
+        key: an idempotency key; a repeated request with the same key changes nothing, unless the job
+        was deleted. owner: name of the caller's access token, if it has one. replaces: an outdated job of the
         same study. Raises SpecTooLarge, KeyReused, and QueueFull if `limited`.
         """
         plan = self.check(spec)
