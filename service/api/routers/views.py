@@ -245,7 +245,7 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
 
     Workers compute pilot points drawn anywhere in the plane with every setting, and compare them with a
     computation that can be trusted. The recommended setting shows least wrong within the budget, or is the
-    cheapest within the tolerance; its share is of other points than those it was chosen by.
+    cheapest within the tolerance; the shares of up to four candidates are of other points.
     """
     spec = from_json(body)
     if not isinstance(spec, SweepSpec):
