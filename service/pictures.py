@@ -49,12 +49,6 @@ CLASSES: Final = (
     | {name: on_white for name, (on_white, _) in PALETTE["labels"].items()}
 )
 
-#: The names of these classes in queries.
-CLASS_NAMES: Final = (
-    *(f"{n}-{than}" for n, _ in enumerate(PALETTE["periods"], 1) for than in ("fewer", "equal", "more")),
-    "longer", *PALETTE["labels"],
-)  # fmt: skip
-
 #: Upper limits of the classes of certified cells, by the modulus of their leading multiplier; and their
 #: colours.
 MARGINS: Final = (0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
@@ -62,6 +56,12 @@ MARGIN_CLASSES: Final = {
     f"{low:g} to {high:g}": colour
     for low, high, colour in zip((0.0, *MARGINS), MARGINS, PALETTE["margins"], strict=False)
 }
+
+#: The names of these classes, in this order, in queries.
+CLASS_NAMES: Final = (
+    *(f"{n}-{than}" for n, _ in enumerate(PALETTE["periods"], 1) for than in ("fewer", "equal", "more")),
+    "longer", *PALETTE["labels"], *(f"multiplier-{margin:g}" for margin in MARGINS),
+)  # fmt: skip
 
 #: Settings of matplotlib for files. Text is text in an SVG, and embedded as a font in a PDF.
 STYLE: Final[dict[Any, Any]] = {
@@ -272,15 +272,24 @@ def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
     ax.set(xlabel=AXES[along], ylabel=FLIGHT, title=title if model == IDEAL else f"{title}: {model}")
 
 
-def classes_of(labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any]) -> NDArray[np.int64]:
-    """The index into CLASSES of each cell, from its label or outcome and its mode."""
+def classes_of(
+    labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any],
+    multiplier: NDArray[np.float64] | None = None,
+) -> NDArray[np.int64]:  # fmt: skip
+    """The index into CLASS_NAMES of each cell, from its label or outcome and its mode.
+
+    Where it has a multiplier, from that.
+    """
     cycles = 3 * (periods - 1) + 1 + np.sign(bounces - periods)
     cycles = np.where(periods > len(PALETTE["periods"]), CLASS_NAMES.index("longer"), cycles)
     cells = np.full(labels.shape, CLASS_NAMES.index("missing"))
     for code, label in enumerate(LABELS):
         labelled = labels == code
         cells[labelled] = cycles[labelled] if label == "periodic" else CLASS_NAMES.index(label)
-    return cells
+    if multiplier is None:
+        return cells
+    margins = len(CLASSES) + np.searchsorted(MARGINS[:-1], multiplier, side="right")
+    return np.where(np.isfinite(multiplier), margins, cells)
 
 
 def draw_returns(ax: "Axes", diagram: xarray.Dataset) -> None:
@@ -391,7 +400,7 @@ def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
 
 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
-    """The cells of the plane (Γ, Ω) in the colours of their classes.
+    """The cells of the plane (Γ, Ω) in the colours of their classes, and Eq. 25 over them.
 
     With `multiplier`, certified cells by their margin of stability. With the attribute `hide`, missing cells
     are left out, as hidden cells are missing.
@@ -401,12 +410,9 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
 
     classes = CLASSES | MARGIN_CLASSES
     labels = modes["label" if "label" in modes else "outcome"].values
-    cells = classes_of(labels, modes.bounces.values, modes.periods.values)
-    counted = "periods of the plate in a cycle"
-    if "multiplier" in modes:
-        counted, multiplier = "modulus of the leading multiplier", modes.multiplier.values
-        margins = len(CLASSES) + np.searchsorted(MARGINS[:-1], multiplier, side="right")
-        cells = np.where(np.isfinite(multiplier), margins, cells)
+    multiplier = modes.multiplier.values if "multiplier" in modes else None
+    cells = classes_of(labels, modes.bounces.values, modes.periods.values, multiplier)
+    counted = "periods of the plate in a cycle" if multiplier is None else "modulus of the leading multiplier"
     corners = edges(modes.gamma.values), edges(modes.omega.values)
     if "hide" in modes.attrs:
         cells = np.ma.masked_equal(cells, CLASS_NAMES.index("missing"))
@@ -414,7 +420,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     for name, axis in (("x", "gamma"), ("y", "omega")):
         if _is_geometric(modes[axis].values):
             _make_logarithmic(ax, name)
-    handles = _entries(cells, classes)
+    handles = [*_entries(cells, classes), *_draw_threshold_curve(ax, float(modes.xi))]
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
             *corners, np.ma.masked_where(~differ, differ),
@@ -428,6 +434,15 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     way = str(modes.direction.values) if "direction" in modes else "rest"
     ramped = "" if way == "rest" else f", {_WAYS[way]}"
     ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
+
+
+def _draw_threshold_curve(ax: "Axes", xi: float) -> "list[Artist]":
+    """Γ_th of Eq. 25 over Ω, for a legend."""
+    ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # those of the cells
+    omega = np.linspace(*ax.get_ylim(), 400)
+    onsets = threshold(omega, xi)
+    ax.plot(onsets, omega, color="white", linewidth=2.4)
+    return ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")  # type: ignore[return-value]
 
 
 def draw_cells(

@@ -11,7 +11,7 @@ from pydantic import Field
 from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
-from service.pictures import WARNING, dot_of, draw_caption, draw_diagram, draw_strips, set_scales
+from service import pictures
 from service.views import selection
 from service.views.variables import cells_dataset, coordinate
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
@@ -139,26 +139,34 @@ SIZE: Final = (8.6, 4.2)
 
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
-    """Draw the flight times along the axis, and write how many cells are missing."""
-    axes = figure.subplots()
-    draw_diagram(axes, result)
-    set_scales(axes, result)
+    """Draw the flight times along the axis, and write how many cells are missing; below, any exponents."""
+    ratios = (2, 1) if "lyapunov" in result else (2,)
+    figure.set_figheight(0.5 * sum(ratios) * SIZE[1])
+    axes, *below = figure.subplots(len(ratios), sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    pictures.draw_diagram(axes, result)
+    pictures.set_scales(axes, result)
     scale = axes.xaxis.get_transform()
     low, high = scale.transform(axes.get_xlim())
-    room = 0.002 * dot_of(result.sizes[result.attrs["along"]]) * (high - low)  # for half a dot at each end
+    dot = pictures.dot_of(result.sizes[result.attrs["along"]])
+    room = 0.002 * dot * (high - low)  # for half a dot at each end
     left, right = scale.inverted().transform([low - room, high + room])
     axes.set_xlim(left if left > 0.0 else None, right)
-    draw_strips(axes, result)
+    pictures.draw_strips(axes, result)
+    for panel in below:
+        pictures.draw_exponents(panel, result)
+        panel.set(title="", ylabel=r"$\lambda$ (per plate period)")
+        axes.set_xlabel("")
     if "caption" in result.attrs:
-        draw_caption(axes, result)
+        pictures.draw_caption(axes, result)
     if not result.attrs["complete"]:
         missing = int(np.count_nonzero(result.outcome.values == Outcome.MISSING))
         total = result.outcome.size
+        colour = pictures.WARNING
         reason = f"{missing:,} of {total:,} cells are not computed yet" if missing else "being repaired"
         axes.annotate(
-            f"incomplete: {reason}", (0.5, 0.5), xycoords="axes fraction", ha="center", color=WARNING,
+            f"incomplete: {reason}", (0.5, 0.5), xycoords="axes fraction", ha="center", color=colour,
             fontsize=11, zorder=5,
-            bbox={"facecolor": "white", "edgecolor": WARNING, "linewidth": 0.6, "alpha": 0.9, "pad": 5},
+            bbox={"facecolor": "white", "edgecolor": colour, "linewidth": 0.6, "alpha": 0.9, "pad": 5},
         )  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
 
 def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:
     """The arrays of a plane, with the cells of hidden classes as missing."""
-    hidden = selection.hidden_cells(arrays, hide)
+    hidden = selection.hidden_cells(arrays, hide, arrays.get("multiplier"))
     missing = dict.fromkeys((selection.LABEL.name, *schema.MODE_ARRAYS), 0.0)
     missing |= {row.name: np.nan for row in schema.CERTIFICATE}
     return {

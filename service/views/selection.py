@@ -256,10 +256,12 @@ def arrays_of_modes(spec: SweepSpec, min_flight: float | None) -> tuple[str, ...
     return (*flights, *MODE_ARRAYS, *exponents, *((COMPUTED,) if spec.fills_in else ()))
 
 
-def hidden_cells(arrays: Mapping[str, NDArray[Any]], hide: str) -> NDArray[np.bool_]:
+def hidden_cells(
+    arrays: Mapping[str, NDArray[Any]], hide: str, multiplier: NDArray[np.float64] | None = None
+) -> NDArray[np.bool_]:
     """Which cells belong to the classes in `hide`, separated by commas."""
     labels = arrays.get(LABEL.name, arrays["outcome"])
-    classes = classes_of(labels, arrays["bounces"], arrays["periods"])
+    classes = classes_of(labels, arrays["bounces"], arrays["periods"], multiplier)
     return np.isin(classes, [CLASS_NAMES.index(name) for name in hide.split(",")])
 
 

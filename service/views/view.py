@@ -54,7 +54,8 @@ def _classes(names: str) -> str:
 Hide = Annotated[
     Annotated[str, Field(max_length=400), AfterValidator(_classes)] | None,
     Field(
-        description="classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer"
+        description="classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; "
+        "with color multiplier, certified cells as multiplier-0.2 to multiplier-1"
     ),
 ]
 

@@ -47,8 +47,8 @@ const CLASSES = [
   // "(<2, 2)" are modes of two periods with fewer bounces.
   ...HUES.flatMap((shades, i) => SHADES.map(([sign, query], k) => ({ name: `(${sign}${i + 1}, ${i + 1})`, colours: [shades[k], shades[k]], query: `${i + 1}-${query}` }))),
   { name: `over ${HUES.length} periods`, colours: palette.longer, query: "longer" },
-  // Certified cells by the modulus of their multiplier, up to these; queries have no name for them.
-  ...MARGINS.map((margin, i) => ({ name: `|μ| ${MARGINS[i - 1] ?? 0} to ${margin}`, colours: [palette.margins[i], palette.margins[i]], query: null })),
+  // Certified cells by the modulus of their multiplier, up to these.
+  ...MARGINS.map((margin, i) => ({ name: `|μ| ${MARGINS[i - 1] ?? 0} to ${margin}`, colours: [palette.margins[i], palette.margins[i]], query: `multiplier-${margin}` })),
 ];
 const FIRST = LABEL_NAMES.length; // the class of the first shade of the first hue
 const MARGIN = CLASSES.length - MARGINS.length; // the first class of certified cells

@@ -285,6 +285,10 @@ def test_the_margin_of_stability_is_that_of_certified_cells(tmp_path: Path):
     assert (found.flight_error.values[certified] < 1e-9).all()
     line = diagram(sweep, omega=0.5)
     assert line.multiplier.values.tolist() == pytest.approx(found.multiplier.values[0].tolist(), nan_ok=True)
+    left = modes(sweep, color="multiplier", hide="multiplier-0.2")
+    shown = ~(found.multiplier < 0.2)
+    assert 0 < shown.sum() < shown.size
+    np.testing.assert_array_equal(left.outcome, found.outcome.where(shown, Outcome.MISSING))
     fixed = computed(tmp_path / "fixed", spec(**axes | {"settle": 20}))
     with pytest.raises(InvalidRequest, match="color: must be 'mode': this sweep certifies no cells"):
         modes(fixed, color="multiplier")
