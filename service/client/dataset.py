@@ -158,6 +158,8 @@ class BounceAccessor:
                 pictures.draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
                 return ax
         elif dims == {"gamma", "omega"}:
+            if "flight_time" in dataset:  # of a whole sweep, whose margins nobody has asked for
+                dataset = dataset.drop_vars("multiplier", errors="ignore")
             pictures.draw_modes(ax, dataset.transpose("omega", "gamma", ...))
         else:
             several = ", ".join(f"{dim} ({dataset.sizes[dim]} values)" for dim in dataset.outcome.dims)

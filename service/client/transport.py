@@ -2,6 +2,7 @@
 
 import json
 import re
+import ssl
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping
@@ -81,10 +82,13 @@ class Transport:
 
     def _connections(self) -> httpx2.Client:
         own_loopback = is_loopback(httpx2.URL(self.url).host)
+        verify: bool | ssl.SSLContext = True
+        if own_loopback:  # loading certificates takes 20 ms; without trust_env httpx ignores SSL_CERT_FILE
+            verify = False if self.url.startswith("http:") else ssl.create_default_context()
         return httpx2.Client(
             timeout=httpx2.Timeout(self._timeout, connect=min(self._timeout, CONNECT_SECONDS)),
             trust_env=not own_loopback,  # a proxy cannot reach this machine's own loopback
-            verify=not (own_loopback and self.url.startswith("http:")),  # loading certificates takes 20 ms
+            verify=verify,
         )
 
     def __reduce__(self) -> tuple[Any, ...]:

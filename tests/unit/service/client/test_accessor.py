@@ -48,7 +48,10 @@ def test_a_line_of_a_sweep_is_a_diagram(sweep: xarray.Dataset):
 
 
 def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
-    ax = sweep.bounce.plot(direction="up", ax=Figure().subplots())
+    """By modes, also where cells have margins of stability."""
+    certified = sweep.assign(multiplier=0.5 * sweep.outcome)
+    ax = certified.bounce.plot(direction="up", ax=Figure().subplots())
+    assert "periods of the plate" in ax.get_title()
     (mesh,) = ax.collections
     assert mesh.get_array().shape == (2, 9)
 

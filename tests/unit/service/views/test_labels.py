@@ -4,6 +4,7 @@ from typing import Final
 
 import pytest
 from fastapi.testclient import TestClient
+from matplotlib.figure import Figure
 from served import finished, get, read
 from studies import spec_of
 
@@ -11,6 +12,7 @@ from kernel.labels import LABELS
 from service.cli.output import job_report
 from service.client.display import settling_note
 from service.client.models import JobStatus
+from service.views.registry import VIEWS
 
 #: At Omega = 1, xi = 0.05: a cell at rest, a (1, 2) mode, a torus, chaos (docs/model.md).
 SWEEP: Final = spec_of([0.1, 3.0, 3.8, 4.6], [0.9, 1.0], 0.05, window=(300, 300, 16), exponents=2)
@@ -34,6 +36,10 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     for name in ("label", "lyapunov", "lyapunov_error"):
         assert modes[name].values.tolist() == found[name].values.tolist()
     assert found.label.attrs["flag_meanings"].split() == list(LABELS)
+    VIEWS["diagram"].draw(found, figure := Figure())
+    flights, exponents = figure.axes
+    assert exponents.lines[1].get_ydata().tolist() == found.lyapunov.values[:, 0].tolist()
+    assert exponents.get_xlim() == flights.get_xlim()
 
 
 #: Slow settling next to the resonance, and a window too short for it.
