@@ -18,7 +18,7 @@ from kernel.interface import Phase, State, phase_of, plate_phase
 from kernel.modes import Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT
-from kernel.numerics.jit import allocating, jit
+from kernel.numerics.jit import allocating, inlined, jit
 from kernel.numerics.matrices import (
     apply,
     contracting_norm,
@@ -127,10 +127,17 @@ def certified(
 # --- the search for a candidate -------------------------------------------------------------------------
 
 
-@jit
+@inlined
 def has_candidate(run: Progress, k: int, window: Window, flights: Flights, search: Search) -> bool:
     """Whether the run in lane k, after a flight, nearly repeats a cycle worth an attempt."""
-    if run.ending != ROOT or not _read(run, k, window, flights, search):
+    is_new = run.ending == ROOT and run.recorded > search.counts[k, READ]
+    return is_new and _read(run.recorded, k, window, flights, search) and _chosen(k, search)
+
+
+@jit
+def _chosen(k: int, search: Search) -> bool:
+    """Whether there is a candidate, which is then noted as the one under way."""
+    if not _is_near(k, search):
         return False
     bounces, periods, difference = _candidate(k, search)
     search.counts[k, BOUNCES], search.counts[k, PERIODS] = bounces, periods
@@ -139,10 +146,10 @@ def has_candidate(run: Progress, k: int, window: Window, flights: Flights, searc
 
 
 @jit
-def _read(run: Progress, k: int, window: Window, flights: Flights, search: Search) -> bool:
+def _read(recorded: int, k: int, window: Window, flights: Flights, search: Search) -> bool:
     """Read the flights recorded since the last call; whether it is time to look for a candidate."""
     counts, due = search.counts[k], False
-    for n in range(counts[READ], run.recorded):
+    for n in range(counts[READ], recorded):
         j = slot(flights, k * flights.size, n)
         longer = flights.time[j] > window.micro_flight
         if longer:
@@ -153,7 +160,7 @@ def _read(run: Progress, k: int, window: Window, flights: Flights, search: Searc
             search.period[m] = flights.period[j]
             counts[COUNTED] += 1
             due = due or counts[COUNTED] % EVERY == 0
-    counts[READ] = max(counts[READ], run.recorded)
+    counts[READ] = recorded
     return due
 
 
@@ -164,11 +171,36 @@ def _searched(k: int, n: int) -> int:
 
 
 @jit
+def _most(n: int) -> int:
+    """Flights of the longest cycle to look for after n flights."""
+    return min(LONGEST if n % RARELY == 0 else SHORT, n // 3)
+
+
+@jit
+def _is_near(k: int, search: Search) -> bool:
+    """Whether the last flight is about as long as one before; if not, no candidate is near any more.
+
+    One flight in seven is, if a motion is chaotic. Unsigned indices make the loops those of vectors, which
+    take a quarter of the time of `_candidate`.
+    """
+    n, first, near = search.counts[k, COUNTED], k * SEARCHED, False
+    most, last = _most(n), (n - 1) & (SEARCHED - 1)
+    newest, start = search.time[first + last], last - min(most, last)
+    for i in range(first + start, first + last):
+        near |= abs(newest - search.time[np.uint64(i)]) <= LEFT
+    for i in range(first + SEARCHED - most + last - start, first + SEARCHED):
+        near |= abs(newest - search.time[np.uint64(i)]) <= LEFT
+    if not near:
+        search.failed[k, 1 : most + 1] = math.inf
+    return near
+
+
+@jit
 def _candidate(k: int, search: Search) -> tuple[int, int, float]:
     """Flights and plate periods of the shortest cycle to try, and its difference, rad; 0 without one."""
     n, failed = search.counts[k, COUNTED], search.failed[k]
     j, chosen, chosen_periods, difference = _searched(k, n - 1), 0, 0, 0.0
-    for bounces in range(1, min(LONGEST if n % RARELY == 0 else SHORT, n // 3) + 1):
+    for bounces in range(1, _most(n) + 1):
         i = _searched(k, n - 1 - bounces)
         newest = abs(search.time[j] - search.time[i])
         if newest <= LEFT:
@@ -419,10 +451,13 @@ def _two_turns(
 @jit
 def _recorded(cell: Any, run: Progress, left: float, periods: int, window: Window, attempt: Attempt) -> int:
     """Follow a run for `left` rad and to the end of the phase that is cut off there: flights recorded."""
-    run, _ = _cover(cell, run, left, window, attempt.none, attempt)
-    p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
-    run = record(run, p, window, attempt.cycle, 0)
-    return run.recorded if run.ending == ROOT else 0
+    while run.ending == ROOT:
+        p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
+        run = record(run, p, window, attempt.cycle, 0)
+        if p.tau >= max(left, 0.0):
+            return run.recorded if run.ending == ROOT else 0
+        left -= p.tau
+    return 0
 
 
 @jit

@@ -17,24 +17,24 @@ VANISHES: Final = 1e-300  # an eigenvalue of this modulus is zero, whose angle i
 
 @jit
 def multiply(a: Any, b: Any, product: Any) -> None:
-    """Overwrite `product` with a b."""
+    """Overwrite `product` with a b, four columns at once."""
     for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for k in range(4):
-                total += a[i, k] * b[k, j]
-            product[i, j] = total
+        x, y, z, w = 0.0, 0.0, 0.0, 0.0
+        for k in range(4):
+            x, y = x + a[i, k] * b[k, 0], y + a[i, k] * b[k, 1]
+            z, w = z + a[i, k] * b[k, 2], w + a[i, k] * b[k, 3]
+        product[i, 0], product[i, 1], product[i, 2], product[i, 3] = x, y, z, w
 
 
 @jit
 def multiply_transposed(a: Any, b: Any, product: Any) -> None:
-    """Overwrite `product` with a^T b."""
+    """Overwrite `product` with a^T b, four columns at once."""
     for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for k in range(4):
-                total += a[k, i] * b[k, j]
-            product[i, j] = total
+        x, y, z, w = 0.0, 0.0, 0.0, 0.0
+        for k in range(4):
+            x, y = x + a[k, i] * b[k, 0], y + a[k, i] * b[k, 1]
+            z, w = z + a[k, i] * b[k, 2], w + a[k, i] * b[k, 3]
+        product[i, 0], product[i, 1], product[i, 2], product[i, 3] = x, y, z, w
 
 
 @jit
