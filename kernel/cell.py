@@ -22,6 +22,7 @@ MODE_PERIODS: Final = 24  # plate periods; more flights are considered if MODE_F
 KEPT_FLIGHTS: Final = 4096  # most that are considered; a landing at e = 0.95 is followed by 400 hops
 FEWEST_PERIODS: Final = 3  # plate periods; kept flights that reach back less decide nothing
 QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
+GROWS: Final = -1e-9  # relative margin below which a motion on the plate takes off, however slowly it grows
 CACHE_SIZE: Final = 64  # numbers in the cache of a model for a cell (`interface.replay`)
 
 _, PERIODIC, APERIODIC, AT_REST, UNRESOLVED, DIVERGED, SETTLING = map(int, Outcome)

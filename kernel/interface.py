@@ -57,6 +57,18 @@ def rest(cell: Any) -> State:  # type: ignore[empty-body]
 
 
 @by_type
+def relative_margin(cell: Any) -> float:  # type: ignore[empty-body]
+    """The least force of the plate on a spring whose free motion has decayed, over the mean force."""
+
+
+@relative_margin.otherwise
+@inlined
+def _no_free_motion(cell: Any) -> float:
+    """What stays on the plate for a period stays there."""
+    return 1.0
+
+
+@by_type
 def flies(cell: Any, phi: PlatePhase, state: State) -> bool:  # type: ignore[empty-body]
     """Whether a phase that begins with this state is a flight."""
 

@@ -26,6 +26,7 @@ from kernel.interface import (
     phase_of,
     plate_phase,
     prepare,
+    relative_margin,
     replay,
     unload_lane,
 )
@@ -112,8 +113,8 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
 
 @allocating
 def _after_window(
-    before: Progress, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights,
-    lanes: Lanes, variations: Variations | None,
+    spring: Any, before: Progress, run: Progress, i: int, k: int, window: Window, line: Line,
+    flights: Flights, lanes: Lanes, variations: Variations | None,
 ) -> Progress:  # fmt: skip
     """The run that follows `run`, which has ended after `before`: beyond its window, or in a later window.
 
@@ -124,6 +125,8 @@ def _after_window(
     if window.certify:
         if run.ending != CERTIFIED:
             cell.write_record(line, i, run, flights, first, window)
+            if line.outcome[i] == cell.AT_REST and relative_margin(spring) < cell.GROWS:
+                line.outcome[i] = cell.SETTLING
             run = cell.go_on(before, run, line.outcome[i], window)
         if run.ending != ROOT:
             lanes.counts[1] += 1
@@ -206,7 +209,9 @@ def _walk(
                     ):
                         run = certified(springs[k], run, i, k, window, line, flights, search)
                     if run.ending != ROOT:
-                        run = _after_window(before, run, i, k, window, line, flights, lanes, variations)
+                        run = _after_window(
+                            springs[k], before, run, i, k, window, line, flights, lanes, variations
+                        )
                         turned = False
                 if i < 0 or run.ending != ROOT:
                     i += 1

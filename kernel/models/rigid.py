@@ -130,6 +130,12 @@ def _rest(s: Spring) -> State:
     return State(0.0, 0.0, s.static_elongation, 0.0)
 
 
+@interface.relative_margin.register(Spring)
+@inlined
+def _relative_margin(s: Spring) -> float:
+    return s.margin / s.mean_force
+
+
 @interface.flies.register(Spring)
 @jit
 def _flies(s: Spring, phi: PlatePhase, state: State) -> bool:

@@ -93,6 +93,12 @@ def _rest(s: SoftSpring) -> State:
     return State(s.static_gap, 0.0, s.static_elongation, 0.0)
 
 
+@interface.relative_margin.register(SoftSpring)
+@inlined
+def _relative_margin(s: SoftSpring) -> float:
+    return s.margin / s.static_lift
+
+
 @interface.flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: PlatePhase, state: State) -> bool:

@@ -45,6 +45,15 @@ def line_of(plate: str, **options: Any) -> Line:
     return run_line(GAMMA, OMEGA, XI, plate=PLATES[plate], **fields)
 
 
+@for_each("plate", [name for name in PLATES if "ball" not in name])
+def test_a_motion_that_still_grows_on_the_plate_is_not_at_rest(plate: str):
+    """Near resonance at low damping: 13 % and 3 % above Eq. 25, and below it."""
+    cells: Any = ([0.0045, 0.00041, 0.0039], np.ones(3), [1e-3, 1e-4, 1e-3])
+    few = type(PLATES[plate])(*(x if isinstance(x, bool) else x[:3] for x in PLATES[plate]))
+    line = run_line(*map(np.array, cells), plate=few, carry=False, **CERTIFY)
+    assert line.outcome.tolist() == [Outcome.PERIODIC, Outcome.SETTLING, Outcome.AT_REST]
+
+
 @for_each("plate", PLATES)
 def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str):
     """LATER is a multiple of most cycles' periods, so that both windows end at the same flight."""
