@@ -196,8 +196,7 @@ def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> Iterat
     if all(len(values) == 1 for values in axes):
         return
     for i in range(number):
-        drawn = [random.uniform(-0.5, len(values) - 0.5) if len(values) > 1 else 0.0 for values in axes]
-        places = [min(max(x, 0.0), len(values) - 1.0) for x, values in zip(drawn, axes, strict=True)]
+        places = [random.uniform(0.0, len(values) - 1.0) for values in axes]
         along = zip(places, axes, strict=True)
         xi, omega, gamma = (float(np.interp(x, np.arange(len(values)), values)) for x, values in along)
         yield _Drawn("area", i, (0, *map(round, places)), Cell(gamma, omega, xi))

@@ -130,8 +130,7 @@ def _along_gamma(spec: SweepSpec) -> tuple[Line, float]:
 
 def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> NDArray[np.float64]:
     """Random places in the grid, (number, 3), in cells along AXES."""
-    lengths = np.array(spec.shape[1:], float)
-    return np.asarray(np.clip(random.uniform(-0.5, lengths - 0.5, (number, 3)), 0.0, lengths - 1.0))
+    return np.asarray(random.uniform(0.0, np.array(spec.shape[1:]) - 1.0, (number, 3)))
 
 
 def _wrong_at(

@@ -51,6 +51,9 @@ def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):
     assert mode.low <= mode.share <= mode.high
     assert found.outcomes.values.sum() == 60
     assert set(found.cell_set.values) <= {"numerics", "besides", "area", "threshold"}
+    anywhere = found.isel(cell=found.cell_set.values == "area")
+    assert anywhere.cell_gamma.size > 0
+    assert all(0.8 < gamma < 4 for gamma in anywhere.cell_gamma.values)  # no corner or edge counts more
     assert "of the cells have another outcome or mode" in found.attrs["sentence"]
 
 
