@@ -29,6 +29,7 @@ def _check_packages() -> None:
 _check_packages()
 
 from service import client as _client  # noqa: E402
+from service.errors import missing_library  # noqa: E402
 
 if TYPE_CHECKING:
     from service.client import *  # noqa: F403
@@ -45,7 +46,12 @@ __all__ = [*_client.__all__, *_OTHERS]  # noqa: PLE0604
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_OTHERS.get(name, "service.client")), name)
+    try:
+        return getattr(import_module(_OTHERS.get(name, "service.client")), name)
+    except ModuleNotFoundError as error:
+        if (missing := missing_library(error)) is None:
+            raise
+        raise ModuleNotFoundError(f"{name} {missing}", name=error.name) from error
 
 
 def __dir__() -> list[str]:

@@ -4,9 +4,20 @@ An invalid specification is the worker's `worker.spec.errors.SpecError`.
 """
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, Final
 
 from worker.spec.errors import BounceError, Problem
+
+#: The project's packages.
+_OURS: Final = ("kernel", "service", "worker")
+
+
+def missing_library(error: ModuleNotFoundError) -> str | None:
+    """What to install where the client is installed alone; None if a module of the project is missing."""
+    name = str(error.name).partition(".")[0]
+    if name in _OURS:
+        return None
+    return f"needs {name}, which is not installed with the client alone: pip install bouncing-spring"
 
 
 class ServiceError(BounceError):

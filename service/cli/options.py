@@ -16,6 +16,7 @@ import click
 from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
+from service.errors import missing_library
 from service.tokens import DEFAULT_URL, data_folder, find_service
 
 if TYPE_CHECKING:
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
 
 #: When this process imported this module, early: the budget of a command counts from here.
 BEGAN: Final = time.monotonic()
-
-#: The project's packages.
-_OURS: Final = ("kernel", "service", "worker")
 
 #: Seconds that the completion of an id waits for the service.
 COMPLETION_SECONDS: Final = 2.0
@@ -211,8 +209,8 @@ def _message(error: Exception) -> str | None:
 
     if isinstance(error, BounceError | CacheRefused):
         return str(error)
-    if isinstance(error, ModuleNotFoundError) and (name := str(error.name).partition(".")[0]) not in _OURS:
-        return f"needs {name}, which is not installed with the client alone: pip install bouncing-spring"
+    if isinstance(error, ModuleNotFoundError) and (missing := missing_library(error)):
+        return missing
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)
         return f"{error.filename}: {reason}" if error.filename else reason
