@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from kernel.numerics.cache import compilations
 from service.errors import NotComputed
 from worker.kernel_cache import use_cache
 
@@ -198,19 +199,20 @@ class _Process:
         return succeeded, value, self._connection.recv()
 
     def stop(self) -> None:
-        """End the process soon; a thread that waits in `call` notices."""
+        """End the process soon, once no kernel compiles; a thread that waits in `call` notices."""
         self._process.terminate()
 
     def end(self) -> None:
         with self._ending:  # two threads that close a connection may close another file
-            self._process.terminate()
+            self._process.kill()
             self._process.join()
             self._connection.close()
 
 
 def _compute(connection: Connection) -> None:
     """Answer calls until the service ends."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    threading.Thread(target=_end_when_told, daemon=True).start()
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: batch processes do not interrupt a running worker
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -236,6 +238,14 @@ def _compute(connection: Connection) -> None:
             return_memory()
             held = trimmed = _bytes_held()
         connection.send(held)
+
+
+def _end_when_told() -> None:
+    """End this process at SIGTERM, but store a kernel first: whoever repeats the request needs it too."""
+    signal.sigwait({signal.SIGTERM})
+    while compilations():
+        time.sleep(0.05)
+    os._exit(0)
 
 
 def _end_with_parent() -> None:

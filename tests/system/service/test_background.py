@@ -5,9 +5,11 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from functools import partial
 from http.client import HTTPConnection
 from pathlib import Path
 
@@ -17,9 +19,10 @@ from paths import ROOT
 from scripted import DEADLINE, wait_for
 from served import listening
 
+from kernel.numerics.cache import compiling
 from service.api import capacity
 from service.api.app import create_app
-from service.background import NICER, InThisProcess, Processes
+from service.background import NICER, Asker, InThisProcess, Processes
 from service.errors import InvalidRequest, NotComputed
 from service.server.web_server import limited
 from service.settings import Settings
@@ -101,6 +104,26 @@ def test_they_end_when_closed_also_while_computing(tmp_path: Path):
         with pytest.raises(NotComputed):
             processes.run(os.getpid)
     child.wait(DEADLINE)
+
+
+def compile_and_wait(begun: Path, compiled: Path) -> None:
+    with compiling("rigid kernel"):
+        begun.touch()
+        time.sleep(1.0)
+        compiled.touch()
+    signal.pause()
+
+
+def test_a_kernel_is_compiled_to_its_end_for_a_client_that_leaves(tmp_path: Path):
+    begun, compiled = tmp_path / "begun", tmp_path / "compiled"
+    leaving = Asker()
+    with closing(Processes(1)) as processes, ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(leaving.run, partial(processes.run, compile_and_wait, begun, compiled))
+        wait_for(begun.exists)
+        leaving.leave()
+        with pytest.raises(NotComputed):
+            waiting.result(DEADLINE)
+        assert compiled.exists()
 
 
 def blocks_interrupts(pid: int) -> bool:
