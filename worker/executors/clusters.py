@@ -158,7 +158,10 @@ class CreatedCluster(Target):
             raise ClusterLost(f"no cluster from {self._name}{self._failure}; made again in {wait:.0f} s")
         self._next_try = time.monotonic() + MAKE_SECONDS
         try:
-            self.cluster = self._function()
+            cluster = self._function()
+            if not hasattr(cluster, "scheduler_address"):  # of None, distributed would make a cluster
+                raise TypeError(f"it returns no Dask cluster, but {type(cluster).__name__}")
+            self.cluster = cluster
         except Exception as error:
             self._failure = f": {type(error).__name__}: {error}"
             raise ClusterLost(f"no cluster from {self._name}{self._failure}") from error

@@ -1,5 +1,6 @@
 """The connection to a Dask scheduler, restored when the scheduler dies, freezes or is replaced."""
 
+import asyncio
 import contextlib
 import logging
 import socket
@@ -58,7 +59,7 @@ class SchedulerConnection:
         timeout: float,
     ) -> None:
         self._target, self._plugin, self._security = target, plugin, security
-        self._on_event, self._on_lost = on_event, on_lost
+        self._on_event, self._on_lost, self._timeout = on_event, on_lost, timeout
         self._closed = threading.Event()
         self._registered = False  # whether the scheduler has our plugin
         self.fault = ""  # why the last attempt to connect failed
@@ -141,11 +142,18 @@ class SchedulerConnection:
         """Prepare a scheduler for tasks: events, plugins, settings."""
         for topic in (TOPIC, ROSTER):
             self._client.subscribe_topic(topic, lambda event: self._on_event(event[1]))
-        self._client.register_plugin(self._plugin)
+        try:
+            self._client.sync(self._register_plugin)
+        except TimeoutError:  # they have it once they answer
+            log.warning("not all workers answer: those that hang cannot be judged, and get no chunk")
         with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
             self._client.register_plugin(Demand())
             self._check_settings()
         self._registered = True
+
+    async def _register_plugin(self) -> None:
+        """Register the workers' plugin, which all workers must answer. Raises TimeoutError."""
+        await asyncio.wait_for(self._client.register_plugin(self._plugin), self._timeout)
 
     def _check_settings(self) -> None:
         """Warn about settings that the scheduler lacks. Results are right without them."""

@@ -62,11 +62,11 @@ class _Call:
     cannot unpickle a message ends.
     """
 
-    def __init__(self, *call: Any) -> None:
-        self._call = call
+    def __init__(self, release: str, *call: Any) -> None:
+        self._release, self._call = release, call
 
     def __reduce__(self) -> Any:
-        return run_if_admitted, (dumps(self._call),)  # type: ignore[no-untyped-call]
+        return run_if_admitted, (self._release, dumps(self._call))  # type: ignore[no-untyped-call]
 
 
 class Dask:
@@ -115,6 +115,7 @@ class Dask:
         with ExitStack() as stack:
             stack.callback(self._target.close)
             plugin = WorkerAdmission(facts(), None if is_own else stores, cache)
+            self._release = plugin.release
             self._connection = SchedulerConnection(
                 self._target, plugin, self._on_event, self._on_lost, security=security, timeout=timeout
             )
@@ -136,11 +137,11 @@ class Dask:
         options: ChunkOptions = USUAL,
     ) -> "Future[ChunkReport]":
         identity = (store_url, chunk.index)
-        call = _Call(run_watched, spec, chunk, store_url, seconds, options)
+        call = _Call(self._release, run_watched, spec, chunk, store_url, seconds, options)
         return self._submit(call, priority, identity, self._others(identity))
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
-        return self._submit(_Call(call_while_wanted, function, *arguments), CALL_PRIORITY)
+        return self._submit(_Call(self._release, call_while_wanted, function, *arguments), CALL_PRIORITY)
 
     def workers(self) -> int:
         return self.state().workers
@@ -222,7 +223,7 @@ class Dask:
                 pickle.loads, call, key=task.key, priority=priority, workers=task.others or None
             )
             outcome = await future.result()
-            if isinstance(outcome, TaskError | WorkerRefused):
+            if isinstance(outcome, TaskError | ExecutorError):
                 raise outcome
             with suppress(InvalidStateError):  # it was cancelled, or lost
                 task.result.set_result(outcome)

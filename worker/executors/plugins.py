@@ -10,6 +10,7 @@ are pickled with their code. At its top this module imports the standard library
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import importlib
 import logging
 import math
@@ -58,6 +59,7 @@ class WorkerAdmission(WorkerPlugin):
         self, facts: Mapping[str, str], stores: tuple[str, str] | None = None, cache: str | None = None
     ) -> None:
         self._facts, self._stores, self._cache = facts, stores, cache
+        self.release = release_of(facts)
         self.refusal = ""  # why the worker is refused
         self._removed = False
 
@@ -141,6 +143,11 @@ def facts() -> dict[str, str]:
     }
 
 
+def release_of(facts: Mapping[str, str]) -> str:
+    """A digest of `facts`."""
+    return hashlib.sha256(repr(sorted(facts.items())).encode()).hexdigest()
+
+
 def _unseen(url: str, mark: str) -> str:
     """Why the stores' folder is another one or unusable; empty if it is the service's."""
     try:
@@ -160,16 +167,24 @@ def _one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def run_if_admitted(call: bytes) -> Any:
+def run_if_admitted(release: str, call: bytes) -> Any:
     """Call a function pickled with its arguments; returns WorkerRefused on a refused worker.
 
     The scheduler gives a refused worker no tasks, but may have done so before the worker was judged. Such
-    a worker may be unable to unpickle them.
+    a worker may be unable to unpickle them. `release` is that of the service: where it is not that of the
+    service which has judged the worker, or nobody has, ClusterLost is returned.
     """
     if reason := refusal(get_worker()):
         from worker.executors.base import WorkerRefused  # noqa: PLC0415 - see above
 
         return WorkerRefused(reason)
+    if getattr(get_worker().plugins.get(WorkerAdmission.name), "release", "") != release:
+        from worker.executors.base import ClusterLost  # noqa: PLC0415 - see above
+
+        return ClusterLost(
+            f"worker {get_worker().address} was admitted by a service of another release, or by none: each "
+            "release needs a scheduler of its own"
+        )
     function, *arguments = pickle.loads(call)
     return function(*arguments)
 

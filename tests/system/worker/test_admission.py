@@ -1,11 +1,12 @@
 """Workers that differ from the service get no chunk, beside one that computes; the reason names them."""
 
 import shutil
+import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError
-from contextlib import suppress
+from concurrent.futures import FIRST_COMPLETED, CancelledError, wait
+from contextlib import closing, suppress
 from pathlib import Path
 
 import psutil
@@ -227,6 +228,32 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
     ):
         Dask(workers=1, kernel_cache=tmp_path / "cache")
     assert running() <= before
+
+
+def test_a_worker_that_a_service_of_another_release_admits_computes_nothing(
+    tmp_path: Path, processes: Processes
+):
+    of_another_kernel(processes, tmp_path)
+    with closing(Dask(processes.address)) as executor, Client(processes.address) as other:
+        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
+        [theirs] = other.run(facts).values()
+        other.register_plugin(WorkerAdmission(theirs, cache=str(tmp_path)))
+        with pytest.raises(ClusterLost, match="was admitted by a service of another release"):
+            executor.call(divmod, 17, 5).result(PATIENCE)
+
+
+def test_a_service_starts_beside_a_worker_that_hangs(tmp_path: Path, processes: Processes):
+    hanging, _ = processes.worker("--no-nanny"), processes.worker()
+    with Client(processes.address) as client:
+        client.wait_for_workers(2, timeout=PATIENCE)
+    hanging.send_signal(signal.SIGSTOP)
+    try:
+        with closing(Dask(processes.address, timeout=10.0)) as executor:
+            results = [executor.call(divmod, 17, 5) for _ in range(2)]  # one for each worker
+            done, _ = wait(results, PATIENCE, FIRST_COMPLETED)
+            assert [result.result() for result in done] == [(3, 2)]
+    finally:
+        hanging.send_signal(signal.SIGCONT)
 
 
 def test_what_a_process_is_judged_by(tmp_path: Path):

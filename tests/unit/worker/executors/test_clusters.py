@@ -26,7 +26,7 @@ class Cluster:
     def __init__(self, workers: int = 2, status: Any = "running") -> None:
         self.plan = self.worker_spec = range(workers)
         self.workers = range(workers)
-        self.status, self.closed = status, 0
+        self.status, self.closed, self.scheduler_address = status, 0, "tcp://a:1"
 
     def close(self) -> None:
         self.closed += 1
@@ -115,3 +115,9 @@ def test_a_failure_is_told_until_the_next_try(now: list[float]):
         target.find()
     now[0] += 6.0
     assert isinstance(target.find(), Cluster)
+
+
+def test_a_function_that_returns_no_cluster_is_told_so():
+    target = CreatedCluster(lambda: None, "mine")
+    with pytest.raises(ClusterLost, match="no cluster from mine: TypeError: it returns no Dask cluster, but"):
+        target.find()
