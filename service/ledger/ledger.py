@@ -49,7 +49,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         self.path = path
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
         self._damage: str | None = None  # why nothing is written until the next start
-        self._refused: str | None = None  # why the last transaction could not begin
+        self._refused: str | None = None  # why the last transaction could not begin or write
         self._check_stores: Callable[[], None] = lambda: None
         self._stores_fault: str | None = None  # what is wrong with the stores, as of the last check
         self._closed = False
@@ -92,8 +92,12 @@ class Ledger(AbstractContextManager["Ledger"]):
         """
         with self._exclusive():
             self._begin()
-            yield WriteTransaction(self._writer)
-            self._writer.execute("COMMIT")
+            try:
+                yield WriteTransaction(self._writer)
+                self._writer.execute("COMMIT")
+            except sqlite3.OperationalError as error:
+                self._refused = f"the ledger cannot be written: {error}"
+                raise
 
     def check(self) -> None:
         """Raise LedgerUnavailable while the file is damaged or the stores are missing.
@@ -105,10 +109,10 @@ class Ledger(AbstractContextManager["Ledger"]):
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)
-        with self._exclusive():
-            if self._refused:
-                self._begin()
-                self._writer.execute("ROLLBACK")
+        with self._exclusive() if self._refused is None else self.writing():
+            if self._writer.in_transaction:
+                (version,) = self._writer.execute("PRAGMA user_version").fetchone()
+                self._writer.execute(f"PRAGMA user_version = {version}")  # writes a page
 
     def guard(self, check_stores: Callable[[], None]) -> None:
         """Make `check` call `check_stores`, which raises LedgerUnavailable while nothing may be stored."""

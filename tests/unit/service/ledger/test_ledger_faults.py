@@ -259,6 +259,16 @@ def test_a_lock_of_another_program_is_told_and_nothing_is_lost(data: Path):
 # Space
 
 
+def test_a_write_that_fails_is_told_until_one_succeeds(tmp_path: Path):
+    with Ledger(tmp_path / "ledger.sqlite") as ledger:
+        ledger._writer.execute("PRAGMA max_page_count = 1")  # it is larger: nothing more fits
+        with pytest.raises(LedgerUnavailable, match="full"), ledger.writing() as writing:
+            writing._sql.execute("CREATE TABLE more AS SELECT zeroblob(?)", [2 * RESERVE])
+        assert "cannot be written: database or disk is full" in (ledger.fault() or "")
+        ledger.check()
+        assert ledger.fault() is None
+
+
 def test_the_reserve_is_inside_the_ledgers_own_files(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     with Ledger(path) as ledger:
