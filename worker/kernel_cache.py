@@ -7,19 +7,22 @@ what code runs here, so it is created for this user alone and refused if others 
 `python -m worker.kernel_cache` compiles every kernel into the default cache.
 """
 
+import atexit
 import hashlib
+import logging
 import os
 import platform
 import shutil
-import tempfile
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from worker.ownership import PRIVATE_FOLDER, NotOurs, check_unshared
+from worker.ownership import PRIVATE_FOLDER, NotOurs, check_unshared, temporary_folder
+
+log = logging.getLogger(__name__)
 
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _USED: Final = "used"
@@ -58,7 +61,16 @@ def default_root() -> Path:
     try:
         return Path.home() / ".cache" / "bouncing-spring"
     except RuntimeError:  # in a container the user may have no entry in the password database
-        return Path(tempfile.mkdtemp(prefix="bouncing-spring-"))
+        return _temporary_root()
+
+
+def _temporary_root() -> Path:
+    """A folder for this process and those that it starts, which is removed when it ends."""
+    folders = ExitStack()
+    root = folders.enter_context(temporary_folder("bouncing-spring-"))
+    atexit.register(folders.close)
+    os.environ[_VARIABLE] = str(root)
+    return root
 
 
 def _cache_folder(root: Path) -> Path:
@@ -76,7 +88,8 @@ def _cache_folder(root: Path) -> Path:
             f"and it is made anew for you alone, or set {_VARIABLE} to a folder of your own"
         ) from error
     except OSError:  # no home, a read-only disk
-        folder = Path(tempfile.mkdtemp(prefix="bouncing-spring-")) / digest
+        log.warning("the kernel cache %s cannot be written: every start compiles its kernels anew", root)
+        folder = _temporary_root() / digest
         _make(folder)
     else:
         _remove_old(root, keep=folder)
