@@ -68,7 +68,7 @@ class Settings(BaseSettings):
     """Where the service listens, keeps data and computes, and how much one request may ask for."""
 
     model_config = SettingsConfigDict(
-        env_prefix="BOUNCE_", frozen=True, extra="forbid", hide_input_in_errors=True
+        env_prefix="BOUNCE_", env_ignore_empty=True, frozen=True, extra="forbid", hide_input_in_errors=True
     )
 
     # The web server
@@ -294,12 +294,12 @@ class Settings(BaseSettings):
 
 
 def read_settings(**overrides: Any) -> Settings:
-    """Settings from `BOUNCE_*` variables, overridden by arguments that are not None.
+    """Settings from `BOUNCE_*` variables, overridden by arguments that are neither None nor empty.
 
     Raises NotStarted naming the setting and the rule.
     """
     try:
-        return Settings(**{name: value for name, value in overrides.items() if value is not None})
+        return Settings(**{name: value for name, value in overrides.items() if value not in (None, "")})
     except ValidationError as error:
         rules = [": ".join([*map(str, entry["loc"]), rule_of(entry)]) for entry in error.errors()]
         raise NotStarted("; ".join(rules)) from error

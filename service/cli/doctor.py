@@ -132,7 +132,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
     preparer = JobPreparer(settings)
     with ExitStack() as stack:
         ledger = None
-        with suppress(DataFolderBusy):
+        with suppress(DataFolderBusy, OSError):  # the last on a read-only disk
             ledger = stack.enter_context(open_ledger(settings))
         reading = partial(backup.reading, settings.ledger_path) if ledger is None else ledger.reading
         with reading() as transaction:
