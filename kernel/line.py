@@ -112,6 +112,16 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
 
 
 @allocating
+def _write_record(
+    spring: Any, line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window
+) -> None:
+    """Write the record of the i-th cell, whose run has ended; what still grows on the plate settles."""
+    cell.write_record(line, i, run, flights, first, window)
+    if line.outcome[i] == cell.AT_REST and relative_margin(spring) < cell.GROWS:
+        line.outcome[i] = cell.SETTLING
+
+
+@allocating
 def _after_window(
     spring: Any, before: Progress, run: Progress, i: int, k: int, window: Window, line: Line,
     flights: Flights, lanes: Lanes, variations: Variations | None,
@@ -124,9 +134,7 @@ def _after_window(
     lanes.cache[:] = 0.0
     if window.certify:
         if run.ending != CERTIFIED:
-            cell.write_record(line, i, run, flights, first, window)
-            if line.outcome[i] == cell.AT_REST and relative_margin(spring) < cell.GROWS:
-                line.outcome[i] = cell.SETTLING
+            _write_record(spring, line, i, run, flights, first, window)
             run = cell.go_on(before, run, line.outcome[i], window)
         if run.ending != ROOT:
             lanes.counts[1] += 1
@@ -138,7 +146,7 @@ def _after_window(
         if variations is not None:
             lyapunov.write_exponents(line.lyapunov[i], run.ending, variations)
             line.lyapunov_error[i] = lyapunov.exponent_error(run.ending, variations, window.observe)
-        cell.write_record(line, i, run, flights, first, window)
+        _write_record(spring, line, i, run, flights, first, window)
         if line.outcome[i] in (cell.APERIODIC, cell.SETTLING):  # followed, to distinguish the two
             cell.store_run(run, lanes.ends[k])
             lanes.followed[k] = True

@@ -180,9 +180,10 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_compute, args=(theirs,), name="bounce-answers", daemon=True)
-        # Ctrl-C is for the service: the process inherits the signals that this thread blocks
+        # Ctrl-C is for the service, SIGTERM for one thread of the process (`_end_when_told`): all threads of the
+        # process inherit the signals that this thread blocks
         resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
         try:
             self._process.start()
         finally:
@@ -211,7 +212,6 @@ class _Process:
 
 def _compute(connection: Connection) -> None:
     """Answer calls until the service ends."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
     threading.Thread(target=_end_when_told, daemon=True).start()
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: batch processes do not interrupt a running worker

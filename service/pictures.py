@@ -439,7 +439,8 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
 def _draw_threshold_curve(ax: "Axes", xi: float) -> "list[Artist]":
     """Γ_th of Eq. 25 over Ω, for a legend."""
     ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # those of the cells
-    omega = np.linspace(*ax.get_ylim(), 400)
+    low, high = ax.get_ylim()
+    omega = np.geomspace(max(low, high / LOG_RANGE), high, 2000)
     onsets = threshold(omega, xi)
     ax.plot(onsets, omega, color="white", linewidth=2.4)
     return ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")  # type: ignore[return-value]

@@ -50,7 +50,7 @@ class ResultMethods(Methods):
         stop: Annotated[float | None, "largest value of the axis"] = None,
         flight_start: Annotated[float | None, "rad, shortest flight shown"] = None,
         flight_stop: Annotated[float | None, "rad, longest flight shown"] = None,
-        hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; with color multiplier, certified cells as multiplier-0.2 to multiplier-1"] = None,
+        hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; of a map by multiplier also multiplier-0.2 to multiplier-1"] = None,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
     ) -> "xarray.Dataset":
         """The flights of the cells along an axis.
@@ -75,7 +75,7 @@ class ResultMethods(Methods):
         log: Annotated[Literal["none", "x", "y", "xy"] | None, "logarithmic axes of a picture; default: those of values in equal ratios"] = None,
         hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
         color: Annotated[Literal["mode", "multiplier"], "multiplier: the margin of stability, of a sweep that certifies cells"] = "mode",
-        hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; with color multiplier, certified cells as multiplier-0.2 to multiplier-1"] = None,
+        hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; of a map by multiplier also multiplier-0.2 to multiplier-1"] = None,
         gamma_start: float | None = None,
         gamma_stop: float | None = None,
         omega_start: float | None = None,

@@ -212,7 +212,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         NotFound
             No job, or several, have an id that begins so.
         """
-        if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_ID},{_ID_LENGTH}}}", str(id)):
+        id = str(id)
+        if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_ID},{_ID_LENGTH}}}", id):
             raise _not_found(
                 f"no job has the id {id!r}: an id is {_ID_LENGTH} hex digits, and its first {_SHORTEST_ID} "
                 "or more select it where no other id begins so"

@@ -191,7 +191,7 @@ def _check_spring(branches: xarray.Dataset, values: dict[str, float]) -> None:
     """Raise BounceError if branches are of another spring than a diagram."""
     for axis in values.keys() & branches.coords.keys():
         own = branches[axis].values
-        if not np.allclose(own, values[axis], rtol=1e-9):
+        if not np.allclose(own, values[axis], rtol=1e-9, atol=0.0):
             raise BounceError(f"branches: are of {axis} {own.flat[0]:g}, the diagram of {values[axis]:g}")
 
 

@@ -55,7 +55,7 @@ Hide = Annotated[
     Annotated[str, Field(max_length=400), AfterValidator(_classes)] | None,
     Field(
         description="classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; "
-        "with color multiplier, certified cells as multiplier-0.2 to multiplier-1"
+        "of a map by multiplier also multiplier-0.2 to multiplier-1"
     ),
 ]
 

@@ -52,6 +52,8 @@ def test_a_motion_that_still_grows_on_the_plate_is_not_at_rest(plate: str):
     few = type(PLATES[plate])(*(x if isinstance(x, bool) else x[:3] for x in PLATES[plate]))
     line = run_line(*map(np.array, cells), plate=few, carry=False, **CERTIFY)
     assert line.outcome.tolist() == [Outcome.PERIODIC, Outcome.SETTLING, Outcome.AT_REST]
+    fixed = run_line(*map(np.array, cells), plate=few, carry=False, **WINDOW)
+    assert fixed.outcome.tolist() == [Outcome.SETTLING, Outcome.SETTLING, Outcome.AT_REST]
 
 
 @for_each("plate", PLATES)
