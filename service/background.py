@@ -180,8 +180,8 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_compute, args=(theirs,), name="bounce-answers", daemon=True)
-        # Ctrl-C is for the service, SIGTERM for one thread of the process (`_end_when_told`): all threads of the
-        # process inherit the signals that this thread blocks
+        # Ctrl-C is for the service, SIGTERM for one thread of the process (`_end_when_told`): all its threads
+        # inherit the signals that this thread blocks
         resource_tracker.ensure_running()  # starting it later would unblock Ctrl-C
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
         try:

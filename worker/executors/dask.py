@@ -223,6 +223,8 @@ class Dask:
                 pickle.loads, call, key=task.key, priority=priority, workers=task.others or None
             )
             outcome = await future.result()
+            if isinstance(outcome, ClusterLost):
+                self._roster.note(outcome.event)  # type: ignore[attr-defined]
             if isinstance(outcome, TaskError | ExecutorError):
                 raise outcome
             with suppress(InvalidStateError):  # it was cancelled, or lost

@@ -181,10 +181,9 @@ def run_if_admitted(release: str, call: bytes) -> Any:
     if getattr(get_worker().plugins.get(WorkerAdmission.name), "release", "") != release:
         from worker.executors.base import ClusterLost  # noqa: PLC0415 - see above
 
-        return ClusterLost(
-            f"worker {get_worker().address} was admitted by a service of another release, or by none: each "
-            "release needs a scheduler of its own"
-        )
+        lost = ClusterLost("a service of another release admits it: each needs a scheduler of its own")
+        lost.event = {**_origin(get_worker()), "refused": str(lost)}  # type: ignore[attr-defined]
+        return lost
     function, *arguments = pickle.loads(call)
     return function(*arguments)
 
@@ -207,8 +206,12 @@ def _set_available(worker: Any, *, available: bool) -> None:
 
 def _log_event(worker: Any, **what: Any) -> None:
     """Report something about this worker to the service, under `ROSTER`."""
-    event = {"worker": worker.address, "host": socket.gethostname(), "process": os.getpid()}
-    worker.log_event(ROSTER, {**event, **what})
+    worker.log_event(ROSTER, {**_origin(worker), **what})
+
+
+def _origin(worker: Any) -> dict[str, Any]:
+    """The parts of an event that name its worker."""
+    return {"worker": worker.address, "host": socket.gethostname(), "process": os.getpid()}
 
 
 async def _end(worker: Any, status: int) -> None:
