@@ -6,13 +6,14 @@ import { AXES } from "../lib/physics.js";
 /** Show the errors of a problem at their fields, and those without a visible field in the problem line `general`; null clears them. */
 export function showProblems(form, general, problem) {
   clear(form);
-  const other = [];
+  const others = [];
   for (const error of problem?.errors ?? []) {
     const input = inputOf(form, error.field);
     if (input) mark(input, inWords(error, input));
-    else other.push(error.field ? `${error.field}: ${error.rule}` : error.rule);
+    else others.push(error.field ? `${error.field}: ${error.rule}` : error.rule);
   }
-  general.show(other.length ? new Error(other.join("; ")) : problem?.errors?.length ? null : problem);
+  const withoutErrors = problem?.errors?.length ? null : problem;
+  general.show(others.length ? new Error(others.join("; ")) : withoutErrors);
 }
 
 function clear(form) {
@@ -23,7 +24,7 @@ function clear(form) {
   form.querySelectorAll(".error").forEach((element) => element.remove());
 }
 
-/** The visible input of "model.restitution", or the nearest one above: "gamma[3]" is shown at gamma. */
+/** The visible input of a field such as "model.restitution", or of what holds it: "gamma[3]" is shown at gamma. */
 function inputOf(form, field) {
   for (let parts = field.split(/[.[\]]+/); parts.length; parts.pop()) {
     const name = CSS.escape(parts.join("."));
