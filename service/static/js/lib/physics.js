@@ -44,8 +44,6 @@ export function axisValues(axis) {
   });
 }
 
-export const isLog = (axis) => axis?.spacing === "log";
-
 /** The index of the value nearest to `target`; `values` increase. */
 export function nearestIndex(values, target) {
   let [low, high] = [0, values.length - 1];

@@ -36,21 +36,18 @@ export class Basin extends PlaneView {
   read([result]) {
     this.basin = result;
     this.attractors = partsOf(result, "attractor");
+    this.cell = Object.fromEntries(AXES.map((axis) => [axis, result[axis].data]));
     [this.columns, this.rows, this.map] = ["column", "row", "attractor_of_start"].map((name) => result[name].data);
-  }
-
-  /** The cell shown. */
-  get cell() {
-    return Object.fromEntries(AXES.map((axis) => [axis, this.basin[axis].data]));
   }
 
   showLegend() {
     const [undecided, entropy, boundary] = ["undecided", "basin_entropy", "boundary_entropy"].map((name) => this.basin[name].data);
+    const entry = (attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
+      type: "button", className: "link", title: "See the attractor move",
+      onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
+    }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)));
     this.legend.replaceChildren(
-      ...this.attractors.map((attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
-        type: "button", className: "link", title: "See the attractor move",
-        onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
-      }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)))),
+      ...this.attractors.map(entry),
       ...(undecided ? [legendEntry(theme().surface, "undecided ", h("small", {}, share(undecided)))] : []));
     const texts = [["basin entropy", entropy], ["boundary basin entropy", boundary]].filter(([, value]) => value !== null);
     this.entropies.textContent = texts.map(([name, value]) => `${name} ${number(value, 4)}`).join(", ");
@@ -74,7 +71,7 @@ export class Basin extends PlaneView {
     this.drawCells(ctx, box, (cell) => colours[this.map[cell]]);
   }
 
-  placeOf({ direction }) {
+  positionOf({ direction }) {
     const start = startOf(direction);
     return start?.kind === this.basin.attrs.plane && [start.phase ?? start.velocity, start.height ?? start.elongation];
   }
@@ -94,7 +91,9 @@ export class Basin extends PlaneView {
 }
 
 /** "(3, 4), flights up to 7.956 rad, λ₁ −0.31 ± 0.02" */
-function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents, attractor_lyapunov_error: error }) {
+function attractorText(attractor) {
+  const names = ["outcome", "label", "bounces", "periods", "longest_flight", "lyapunov", "lyapunov_error"];
+  const [outcome, label, bounces, periods, longest, exponents, error] = names.map((name) => attractor[`attractor_${name}`]);
   const parts = [label.startsWith("(") || label === "rest" ? outcomeText(outcome, bounces, periods) : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
   if (Number.isFinite(exponents?.[0])) parts.push(`λ₁ ${exponentText(exponents[0], error)}`);

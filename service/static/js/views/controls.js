@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 
-/** Sliders along `axes` of a view's grid but its own. Axes of one value have none: the plot's title shows their value. */
+/** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
 export function sliders(view, axes) {
   if (view.isFollower) return false;
   const movable = axes.filter((axis) => view.valuesOf(axis).length > 1);
@@ -19,7 +19,8 @@ function slider(view, axis) {
     type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
     onchange: () => {
       const value = typedIn(typed);
-      if (value !== null) setQuery({ [axis]: addressValue(view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)]) });
+      const nearest = view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)];
+      if (value !== null) setQuery({ [axis]: addressValue(nearest) });
     },
   });
   const input = h("input", {
@@ -41,7 +42,7 @@ function slider(view, axis) {
 }
 
 /** The number from `min` to `max` that the address has as `name`; `otherwise` where it has none. */
-export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {
+export function queryNumber(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {
   const value = Number(currentQuery()[name] || NaN);
   return value >= min && value <= max ? value : otherwise;
 }
@@ -50,7 +51,8 @@ export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {})
 function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
   const text = input.value.trim().replace("−", "-");
   const value = text ? Number(text) : NaN;
-  const limits = max < Infinity ? ` from ${min} to ${max}` : min > -Infinity ? ` of ${min} or more` : "";
+  const lowest = min > -Infinity ? ` of ${min} or more` : "";
+  const limits = max < Infinity ? ` from ${min} to ${max}` : lowest;
   const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
   input.setCustomValidity(Number.isFinite(value) && value >= min && value <= max ? "" : rule);
   return input.reportValidity() ? value : null;
@@ -58,7 +60,7 @@ function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
 
 /** An input for such a number. */
 export const numberInput = (label, name, otherwise, limits = {}, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
-  type: "text", inputmode: "decimal", value: given(name, otherwise, limits), ...attributes,
+  type: "text", inputmode: "decimal", value: queryNumber(name, otherwise, limits), ...attributes,
   onchange: ({ target }) => {
     const value = typedIn(target, { min: 0, ...limits });
     if (value !== null) setQuery({ [name]: value === otherwise ? null : value });
@@ -66,7 +68,7 @@ export const numberInput = (label, name, otherwise, limits = {}, attributes = {}
 }));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
-export const minFlightOf = ({ spec }) => given("min", spec.micro_flight);
+export const minFlightOf = ({ spec }) => queryNumber("min", spec.micro_flight);
 
 /** Which flights count, for points and modes alike. */
 export const minFlightInput = ({ spec }) => numberInput("Count flights above, rad", "min", spec.micro_flight, {}, {

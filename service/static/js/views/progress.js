@@ -38,15 +38,13 @@ export class JobSummary {
     this.progress.dataset.state = state;
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
-    this.amount.textContent = compiling ? compilation(compiling) : amount(state, progress);
+    this.amount.textContent = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(state, progress);
     const notices = [...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : [])];
     this.notice.hidden = !notices.length;
     this.notice.replaceChildren(...notices);
     showActions(this.actions, job, this.on);
   }
 }
-
-const compilation = ({ kernel, seconds }) => `compiling ${kernel}, ${duration(seconds)}`;
 
 function amount(state, { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta }) {
   const isAdaptive = (computed ?? null) !== null;
@@ -56,7 +54,6 @@ function amount(state, { cells_done: done, cells_total: total, cells_computed: c
   return state === "running" && eta !== null && done ? `${text}, ${duration(eta)} left` : text;
 }
 
-/** Axes, start and contact model of a sweep, as nodes. */
 export function summary({ spec, choice }) {
   if (!spec) return ["specification too long to list"];
   const axes = AXES.filter((axis) => axis in spec)
@@ -106,7 +103,7 @@ const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
 
 /** Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. */
 function showActions(root, job, on) {
-  const actions = UNFINISHED.has(job.state) ? ["cancel"] : RESUMABLE.has(job.state) ? ["resume", "delete"] : ["delete"];
+  const actions = UNFINISHED.has(job.state) ? ["cancel"] : [...(RESUMABLE.has(job.state) ? ["resume"] : []), "delete"];
   const shown = [...actions, titleOf(job)].join();
   if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);
