@@ -212,7 +212,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         NotFound
             No job, or several, have an id that begins so.
         """
-        if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_ID},{_ID_LENGTH}}}", id):
+        if not re.fullmatch(f"[0-9a-f]{{{_SHORTEST_ID},{_ID_LENGTH}}}", str(id)):
             raise _not_found(
                 f"no job has the id {id!r}: an id is {_ID_LENGTH} hex digits, and its first {_SHORTEST_ID} "
                 "or more select it where no other id begins so"
@@ -302,14 +302,14 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         return until_ended(jobs, timeout)
 
     def wait_all(
-        self, jobs: "Iterable[Job]", timeout: float | None = None, progress: bool | PartsCallback = True
+        self, jobs: "Iterable[Job | str]", timeout: float | None = None, progress: bool | PartsCallback = True
     ) -> list[Job]:
         """Wait until all jobs have ended.
 
         Parameters
         ----------
         jobs
-            The jobs to wait for.
+            The jobs to wait for, or their ids.
         timeout
             Seconds for all of them together.
         progress
@@ -328,14 +328,14 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         WaitTimeout, ServiceUnreachable
             As for `Job.wait`.
         """
-        jobs = list(jobs)
+        all_jobs = [self.job(job) if isinstance(job, str) else job for job in jobs]
         show = display_parts(progress, "ended", "jobs")
-        show(0, len(jobs))
-        for ended, _ in enumerate(until_ended(jobs, timeout), 1):
-            show(ended, len(jobs))
-        for job in jobs:
+        show(0, len(all_jobs))
+        for ended, _ in enumerate(until_ended(all_jobs, timeout), 1):
+            show(ended, len(all_jobs))
+        for job in all_jobs:
             raise_unless_done(job)
-        return jobs
+        return all_jobs
 
     def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
         """Submit specifications and yield their jobs in order, each once it has ended.

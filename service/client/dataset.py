@@ -150,6 +150,7 @@ class BounceAccessor:
             fixed = [axis for axis in pictures.AXES if axis != pictures.along_of(dataset)]
             ax.set_title(pictures.values_at(dataset, fixed))
             if branches is not None:
+                _check_spring(branches, selected)
                 pictures.draw_branches(ax, branches)
             if data is not None:
                 along = pictures.along_of(dataset)
@@ -184,6 +185,14 @@ class BounceAccessor:
 
 
 xarray.register_dataset_accessor("bounce")(BounceAccessor)  # type: ignore[no-untyped-call]
+
+
+def _check_spring(branches: xarray.Dataset, values: dict[str, float]) -> None:
+    """Raise BounceError if branches are of another spring than a diagram."""
+    for axis in values.keys() & branches.coords.keys():
+        own = branches[axis].values
+        if not np.allclose(own, values[axis], rtol=1e-9):
+            raise BounceError(f"branches: are of {axis} {own.flat[0]:g}, the diagram of {values[axis]:g}")
 
 
 def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.Dataset:

@@ -35,7 +35,7 @@ _ROWS: Final = (
     row("seconds", ("setting",), "<f8", "time on this service's workers", "s"),
     row("share", ("setting",), "<f8", "share of the plane that the picture shows wrong"),
     row("low", ("setting",), "<f8", "least share, with 99 % confidence"),
-    row("high", ("setting",), "<f8", "most, with 95 % confidence"),
+    row("high", ("setting",), "<f8", "most, with 95 % confidence; of candidates for all together"),
     row("bytes", ("setting",), "<i8", "stored bytes before compression"),
     row("frontier", ("setting",), "|b1", "whether no cheaper setting shows less wrong"),
     row("recommended", ("setting",), "|b1", "whether it is the one to take"),

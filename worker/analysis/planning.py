@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kernel.params import Cell, Line
 from worker.analysis.audit import modes_differ, reference
 from worker.analysis.deviation import deviations
-from worker.analysis.intervals import ENDLESS, bounds
+from worker.analysis.intervals import BELOW, ENDLESS, bounds
 from worker.analysis.model_selection import timed
 from worker.spec.time_steps import Cells
 from worker.sweep import AXES, SweepSpec
@@ -79,7 +79,7 @@ def plan(
     chosen = candidates(settings, shares, budget, tolerance)
     fresh, undecided = _wrong_at(_points(random, thorough, FRESH), [settings[i] for i in chosen], thorough)
     for i, third in zip(chosen, fresh, strict=True):
-        shares[i] = _share(third, undecided)
+        shares[i] = _share(third, undecided, looks=len(chosen))
     return shares, recommended(chosen, shares, tolerance)
 
 
@@ -173,7 +173,9 @@ def _computed(
     return {name: np.array(column) for name, column in zip(MODE_ARRAYS, columns, strict=True)}
 
 
-def _share(wrong: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> Share:
+def _share(wrong: NDArray[np.bool_], undecided: NDArray[np.bool_], looks: int = 1) -> Share:
+    """The share of points that are wrong; the upper bounds of all `looks` hold together."""
     certain = int(np.count_nonzero(wrong))
-    low, high = bounds(certain, certain + int(np.count_nonzero(undecided)), len(wrong), ENDLESS)
+    doubtful = certain + int(np.count_nonzero(undecided))
+    low, high = bounds(certain, doubtful, len(wrong), ENDLESS, below=BELOW / looks)
     return Share(len(wrong), certain / len(wrong), low, high)

@@ -63,6 +63,8 @@ def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset)
     line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
     plain, over = (line.bounce.plot(ax=Figure().subplots(), branches=each) for each in (None, branches))
     assert len(over.lines) == len(plain.lines) + 3
+    with pytest.raises(BounceError, match=r"branches: are of omega 0\.7, the diagram of 0\.6"):
+        line.bounce.plot(ax=Figure().subplots(), branches=branches.assign_coords(omega=0.7))
 
 
 @for_each(
