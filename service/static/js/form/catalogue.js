@@ -17,7 +17,7 @@ const KINDS = {
 /** Kinds of the form whose protocol is "rest". */
 export const OF_REST = ["rest", "map", "exponents"];
 /** Fields that a kind does not have, though its specification can. */
-const WITHOUT = { rest: ["refine", "exponents"], ramp: ["refine"], map: ["exponents"], exponents: ["refine"] };
+const WITHOUT = { rest: ["refine", "exponents"], ramp: ["refine"], exponents: ["refine"] };
 
 export function kindOf({ protocol: { kind = "rest" } = {}, refine, exponents }) {
   if (kind === "rest" && refine) return "map";
