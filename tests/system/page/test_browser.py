@@ -1,5 +1,6 @@
 """The page in a real Chromium, served by a real service."""
 
+import csv
 import json
 import math
 import os
@@ -720,6 +721,27 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         assert table.startswith("Γ,ramp,mode,flight times (rad)\n0.")
         assert not set("…–−^") & set(table)  # plain numbers, and all of them
         assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
+
+
+def test_neighbours_on_a_fine_axis_have_different_texts(browser: Any, address: str):
+    job = done(address, spec_of((1.23456, 1.23457, 11), 0.5, 0.2))
+    stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()
+    gamma = stored["coords"]["gamma"]["data"]
+    with opened(browser, view(address, job, cell=f"{gamma[3]},0.5,0.2,rest")) as page:
+        page.get_by_text("Γ 1.23456 – 1.23457 (11)").wait_for()
+        page.get_by_text("Γ = 1.234563, Ω = 0.5, ξ = 0.2, from rest").wait_for()
+        page.get_by_text("Table of what is shown").click()
+        rows = page.locator(".paged tbody tr")
+        wait_for(lambda: rows.count() == len(gamma))
+        texts = [row.split("\t") for row in rows.all_inner_texts()]
+        assert [text for text, *_ in texts][:3] == ["1.23456", "1.234561", "1.234562"]
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        with Path(download.value.path()).open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [float(row["Γ"]) for row in rows] == gamma
+        page.get_by_role("link", name="Duplicate").click()
+        page.get_by_text("11 values: 1.23456, 1.234561, 1.234562 … 1.23457").wait_for()
 
 
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):

@@ -2,8 +2,7 @@
 
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { modeText, nearestIndex } from "../lib/physics.js";
+import { axisText, modeText, nearestIndex } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
@@ -36,7 +35,7 @@ export class Difference extends PlaneView {
     const cellsOf = (prefix) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[prefix + name]?.data]));
     [this.columns, this.rows, this.xi, this.differs] = ["gamma", "omega", "xi", "differs"].map((name) => result[name].data);
     Object.assign(this, { first: cellsOf(""), second: cellsOf("other_"), classes: modeClasses(cellsOf("other_")) });
-    this.title = `ξ = ${[...new Set([this.xi, result.attrs.other_xi])].map((xi) => number(xi)).join(" and ")}`;
+    this.title = `ξ = ${[...new Set([this.xi, result.attrs.other_xi])].map((xi) => axisText(xi, this.grid.xi)).join(" and ")}`;
     this.sentence.textContent = result.attrs.sentence;
   }
 

@@ -2,8 +2,8 @@
 // gives null, and write() takes undefined, for the default.
 
 import { h } from "../lib/dom.js";
-import { number, plural } from "../lib/format.js";
-import { SYMBOL, axisValues, meaningOf } from "../lib/physics.js";
+import { plural } from "../lib/format.js";
+import { SYMBOL, axisText, axisValues, meaningOf } from "../lib/physics.js";
 
 /** Texts of choices, where their names are not enough. */
 const CHOICES = {
@@ -124,7 +124,7 @@ function describeAxis(axis, value) {
   const typed = typeof value === "object" && !Array.isArray(value) ? [value.start, value.stop, value.num] : [value].flat();
   if (!typed.length || !typed.every(Number.isFinite) || value.num > MOST_VALUES) return "";
   const values = axisValues(value);
-  const shown = values.slice(0, 3).map((item) => number(item)).join(", ") + (values.length > 3 ? ` … ${number(values.at(-1))}` : "");
+  const shown = values.slice(0, 3).map((item) => axisText(item, values)).join(", ") + (values.length > 3 ? ` … ${axisText(values.at(-1), values)}` : "");
   const text = values.length > 1 && `${plural(values.length, "value")}: ${shown}`;
   return [text, Math.max(...values) > USUAL[axis] && `unusual: studies have ${SYMBOL[axis]} up to ${USUAL[axis]}`].filter(Boolean).join("; ");
 }

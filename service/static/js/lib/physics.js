@@ -44,6 +44,23 @@ export function axisValues(axis) {
   });
 }
 
+const MOST_DIGITS = 14; // what differs after them differs by rounding
+const digitsOf = new WeakMap(); // by the list of an axis
+
+/** A value of an axis in as many digits as tell neighbours among its `values` apart: five where they do. */
+export function axisText(value, values) {
+  const power = (x) => Math.floor(Math.log10(Math.abs(x)));
+  const needed = (most, next, i) => {
+    const digits = 1 + power(next) - power(next - values[i - 1]);
+    return digits > most && digits <= MOST_DIGITS ? digits : most;
+  };
+  if (!digitsOf.has(values)) digitsOf.set(values, values.reduce(needed, 5));
+  return number(value, digitsOf.get(values));
+}
+
+/** A column of a table with values of an axis; in files they are not rounded. */
+export const axisColumn = (title, values, valueOf) => [title, (item, whole) => (whole ? String(valueOf(item)) : axisText(valueOf(item), values))];
+
 /** The index of the value nearest to `target`; `values` increase. */
 export function nearestIndex(values, target) {
   let [low, high] = [0, values.length - 1];

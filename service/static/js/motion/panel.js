@@ -4,7 +4,7 @@ import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
 import { button, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
+import { AXES, axisText, axisValues, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Player, periodsOf } from "./player.js";
 import { MIN_FLIGHT, Portraits } from "./portraits.js";
@@ -41,9 +41,9 @@ export class TrajectoryPanel {
     const { signal } = this.request;
     if (!this.player) this.#build();
     const start = startOf(cell.direction);
-    const axes = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
+    const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
     this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
-    this.about.textContent = `${axes.join(", ")}, ${startText(cell.direction, job)}`;
+    this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
     let path, options, cycle; // cycle: its plate periods
@@ -63,7 +63,7 @@ export class TrajectoryPanel {
       if (!isHandledElsewhere(error)) this.#showError(error);
       return;
     }
-    const name = () => `trajectory-${number(cell.gamma)}-${number(cell.omega)}`;
+    const name = () => `trajectory-${gamma}-${omega}`;
     this.files.replaceChildren(downloads([
       ["PNG", () => fileName(job, name(), "png"), () => this.player.plot.png()],
       ...resultFiles(job, name, [["CSV", "csv"], ["NetCDF", "nc"]], () => path, options),

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { AXES, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
+import { AXES, axisColumn, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
 import { attractorColour, theme } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, legendEntry } from "./cells.js";
@@ -56,10 +56,9 @@ export class Basin extends PlaneView {
   content() {
     const { plane, complete } = this.basin.attrs;
     const [[across], [along]] = AXES_OF[plane];
-    const { gamma, omega, xi } = this.cell;
     return {
       ...this.scales({ label: across }, { label: along }),
-      title: `Γ = ${number(gamma)}, Ω = ${number(omega)}, ξ = ${number(xi)}`,
+      title: this.textOf(this.cell),
       message: complete ? null : "This cell is not computed yet",
       layers: [(ctx, box) => this.#drawStarts(ctx, box)],
       cursor: (ctx, box) => this.drawCursor(ctx, box),
@@ -86,7 +85,7 @@ export class Basin extends PlaneView {
       const attractor = this.attractors[this.map[this.indexOf(cell)] - 1];
       return attractor ? attractorText(attractor) : "no attractor: undecided";
     };
-    return [[across, ({ column }) => number(this.columns[column])], [along, ({ row }) => number(this.rows[row])], ["reaches", reached]];
+    return [axisColumn(across, this.columns, ({ column }) => this.columns[column]), axisColumn(along, this.rows, ({ row }) => this.rows[row]), ["reaches", reached]];
   }
 }
 

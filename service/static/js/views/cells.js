@@ -2,8 +2,8 @@
 
 import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
-import { number, share } from "../lib/format.js";
-import { clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
+import { share } from "../lib/format.js";
+import { axisColumn, clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour, theme } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
@@ -51,7 +51,7 @@ export class PlaneView extends PlotView {
   }
 
   columnsOfPlane() {
-    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])]];
+    return [axisColumn("Γ", this.grid.gamma, ({ column }) => this.columns[column]), axisColumn("Ω", this.grid.omega, ({ row }) => this.rows[row])];
   }
 
   cellOf({ column, row }) {

@@ -2,8 +2,7 @@
 
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { SYMBOL, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
+import { SYMBOL, axisText, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 
 /** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
 export function sliders(view, axes) {
@@ -30,9 +29,9 @@ function slider(view, axis) {
   const show = () => {
     const value = view.place[axis];
     input.value = String(nearestIndex(values, value));
-    typed.value = number(value);
+    typed.value = axisText(value, values);
     typed.setCustomValidity("");
-    input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
+    input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${typed.value}`);
     element.hidden = axis === view.along;
   };
   const element = h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);

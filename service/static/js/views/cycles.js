@@ -45,7 +45,7 @@ export class CyclesView extends PlotView {
     const { omega, xi } = this;
     return {
       ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
-      title: `Ω = ${number(omega)},   ξ = ${number(xi)}`,
+      title: this.textOf({ omega, xi }),
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],

@@ -6,10 +6,11 @@ import { partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
 import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
-import { isSweep } from "../lib/physics.js";
+import { axisText, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
 import { sharedPage } from "./measured.js";
+import { sourceOf } from "./plot-view.js";
 
 export class Details {
   constructor(root, { sources: [{ job }], signal }) {
@@ -108,12 +109,12 @@ function questionTable(audit) {
 }
 
 function changedCells(job, audit) {
-  const cells = partsOf(audit, "cell");
+  const [cells, { grid }] = [partsOf(audit, "cell"), sourceOf(job)];
   if (!cells.length) return h("p", {}, "No cell looked at has changed.");
   return h("details", {},
     h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
     h("ul", {}, cells.map(({ cell_gamma: gamma, cell_omega: omega, cell_xi: xi, ...cell }) => h("li", {},
       h("a", { href: link(["job", job.id, "diagram"], { cell: [gamma, omega, xi, cell.cell_direction].join(",") }) },
-        `Γ = ${number(gamma)}, Ω = ${number(omega)}, ξ = ${number(xi)}`),
+        `Γ = ${axisText(gamma, grid.gamma)}, Ω = ${axisText(omega, grid.omega)}, ξ = ${axisText(xi, grid.xi)}`),
       `: ${cell.cell_stored}, by the reference ${cell.cell_reference}${cell.cell_undecided ? " (undecided)" : ""}`))));
 }

@@ -4,7 +4,7 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
@@ -194,7 +194,7 @@ export class Diagram extends PlotView {
   #title() {
     const [line] = this.lines;
     if (!line) return "";
-    const fixed = this.#fixed(true).map((axis) => valueText(axis, line)).join(",   ");
+    const fixed = this.textOf(Object.fromEntries(this.#fixed(true).map((axis) => [axis, line.fixed[axis]])));
     if (this.isCompared) return fixed;
     const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
     const computed = line.computed ? `,   ${line.computed.reduce((sum, value) => sum + value, 0)} of ${line.computed.length} cells computed` : "";
@@ -203,8 +203,9 @@ export class Diagram extends PlotView {
 
   #legend() {
     const several = this.lines.length ? this.#fixed(false) : [];
+    const nameOf = ({ source, fixed }) => [shortened(titleOf(source.job)), ...several.map((axis) => this.textOf({ [axis]: fixed[axis] }))].join(", ");
     const entries = this.isCompared
-      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [sweepText(line, several), line])
+      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [nameOf(line), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
     if (entries.length < 2 && (this.isCompared || this.directions[0] === "rest")) return [];
     return entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
@@ -249,9 +250,9 @@ export class Diagram extends PlotView {
   columnsOfTable() {
     const [first] = this.lines;
     return [
-      [SYMBOL[this.along], ({ line, cell }) => number(line.values[cell])],
+      axisColumn(SYMBOL[this.along], this.grid[this.along], ({ line, cell }) => line.values[cell]),
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
-      ...(first ? this.#fixed(false).map((axis) => [SYMBOL[axis], ({ line }) => number(line.fixed[axis])]) : []),
+      ...(first ? this.#fixed(false).map((axis) => axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis])) : []),
       ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
       ...cellColumns(first ?? {}, ({ line, cell }) => [line, cell]),
       ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
@@ -338,8 +339,5 @@ function drawSelected(ctx, box, value, colour) {
 /** The distinct flight times of one cell, shortest first. */
 const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
 const flightsText = (times, whole) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
-const valueText = (axis, { fixed }) => `${SYMBOL[axis]} = ${number(fixed[axis])}`;
 
-/** The name of a line's sweep, shortened, with its values of some axes. */
-const sweepText = (line, axes) => [shortened(titleOf(line.source.job)), ...axes.map((axis) => valueText(axis, line))].join(", ");
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

@@ -3,7 +3,7 @@
 import { currentQuery, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
-import { number, share } from "../lib/format.js";
+import { share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, nearestIndex, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { CURVE_DASH, legendLine, polyline, rgba32 } from "../plot/drawing.js";
@@ -113,7 +113,7 @@ export class Modes extends PlaneView {
     const { present } = this.classes;
     return {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
-      title: `${this.prefix}ξ = ${number(this.xi)}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
+      title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
         ["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)],

@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
-import { TWO_PI, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
+import { TWO_PI, axisColumn, axisText, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, numberedColour, theme } from "../plot/colours.js";
 import { rgba32, verticalLine } from "../plot/drawing.js";
 import { drawCell, markCell } from "../plot/flights.js";
@@ -15,8 +15,8 @@ import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
 
 const MAX_LISTED = 6; // flights
-const EVENT_COLUMNS = [
-  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${number(low, 4)}–${number(high, 4)}`],
+const eventColumns = (values) => [
+  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${axisText(low, values)}–${axisText(high, values)}`],
   ["event", ({ event_kind: kind }) => kind],
   ["attractor", ({ event_attractor: id }) => String(id)],
   ["mode", ({ event_kind: kind, event_below: below, event_above: above }) => inSymbols({ mode: `${below} to ${above}`, birth: above }[kind] ?? below)],
@@ -75,7 +75,7 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => [EVENT_COLUMNS, this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
+    const events = new PagedTable("Births, ends, changes of mode", () => [eventColumns(this.grid.gamma), this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
       below: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
@@ -91,7 +91,7 @@ export class AttractorDiagram extends AttractorView {
   content() {
     return {
       ...this.scales(this.axisOf("gamma"), FLIGHT_AXIS),
-      title: `Ω = ${number(this.rows[0])},   ξ = ${number(this.xi)}`,
+      title: this.textOf({ omega: this.rows[0], xi: this.xi }),
       message: this.message,
       layers: [(ctx, box) => this.#drawEvents(ctx, box), (ctx, box) => this.#drawFlights(ctx, box)],
       cursor: (ctx, box) => this.#drawCurrent(ctx, box),
@@ -136,7 +136,7 @@ export class AttractorDiagram extends AttractorView {
     }];
     const flightsText = ({ times }, whole) => [...new Set(times.map((time) => number(time, 4)))].slice(0, whole ? Infinity : MAX_LISTED).join(" ");
     return [
-      ["Γ", (cell) => number(this.columns[cell.column])],
+      axisColumn("Γ", this.grid.gamma, (cell) => this.columns[cell.column]),
       column("attractor", ({ id }) => String(id)),
       column("mode", ({ label }) => label, (cell) => (this.count[cell.column] < 0 ? "not computed yet" : "")),
       column("share of drops", ({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell")),
@@ -182,7 +182,7 @@ export class AttractorMap extends AttractorView {
   content() {
     const isHatched = this.hatches.checked && this.plane.attrs.several > 0;
     return {
-      title: `ξ = ${number(this.xi)}`,
+      title: this.textOf({ xi: this.xi }),
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,

@@ -4,7 +4,7 @@ import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn,
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, button, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
@@ -86,6 +86,11 @@ export class PlotView {
   valuesOf(axis) {
     const answers = (shared?.answers[this.name] ?? shared?.answers.diagram ?? []).filter((answer) => axis in answer);
     return answers.length ? [...new Set(answers.map((answer) => answer[axis]))].sort((a, b) => a - b) : this.grid[axis];
+  }
+
+  /** "Ω = 0.5,   ξ = 0.26" */
+  textOf(place) {
+    return Object.entries(place).map(([axis, value]) => `${SYMBOL[axis]} = ${axisText(value, this.grid[axis])}`).join(",   ");
   }
 
   /** The window zoomed to; null for everything. */

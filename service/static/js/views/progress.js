@@ -4,7 +4,7 @@ import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { h, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisText, axisValues, isSweep } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
 /** Whether a job, or the budget that it is a level of, goes on. */
@@ -57,7 +57,7 @@ function amount(state, { cells_done: done, cells_total: total, cells_computed: c
 export function summary({ spec, choice }) {
   if (!spec) return ["specification too long to list"];
   const axes = AXES.filter((axis) => axis in spec)
-    .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
+    .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${rangeText(spec[axis])}`), " · "]);
   if (!isSweep(spec)) return [...axes, h("span", {}, `study: ${spec.protocol.kind}`)];
   const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
   const refined = spec.refine ? [" · ", h("span", {}, `adaptive, by ${spec.refine.by}`)] : [];
@@ -87,10 +87,10 @@ export function settling({ id, progress, spec }) {
     h("a", { href: link(["new"], { from: id, field: spec.settle === "auto" ? "until" : "settle" }) }, "give more time")];
 }
 
-function axisText(axis) {
+function rangeText(axis) {
   const values = axisValues(axis);
-  if (values.length <= MAX_LISTED) return values.map((value) => number(value)).join(", ");
-  return `${number(values[0])} – ${number(values.at(-1))} (${count(values.length)})`;
+  if (values.length <= MAX_LISTED) return values.map((value) => axisText(value, values)).join(", ");
+  return `${axisText(values[0], values)} – ${axisText(values.at(-1), values)} (${count(values.length)})`;
 }
 
 function protocolText({ kind, axis, direction, start }) {

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { axisColumn, axisText, clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
@@ -72,7 +72,7 @@ export class Thresholds extends PlotView {
     const reason = this.complete ? "No threshold in this sweep" : "No bouncing cell is computed yet";
     return {
       ...this.scales(this.axisOf("omega"), { label: "threshold Γ" }),
-      title: `ξ = ${number(this.xi)}`,
+      title: this.textOf({ xi: this.xi }),
       legend: this.#legend(),
       message: isEmpty ? reason : null,
       layers: [(ctx, box) => this.overlay?.data && drawFolds(ctx, box, this.overlay.data), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
@@ -137,12 +137,13 @@ export class Thresholds extends PlotView {
   }
 
   columnsOfTable() {
-    const value = (title, name, digits, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? number(row[name], digits) : otherwise(row))];
+    const gammaText = (gamma) => axisText(gamma, this.grid.gamma);
+    const value = (title, name, text, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? text(row[name]) : otherwise(row))];
     const text = (name) => [name, ({ row }) => inSymbols(row[name] ?? "")];
-    return [value("Ω", "omega"), value("Eq. 25", "analytic", 5),
-      ...this.series.map(({ name, way }) => value(name, way, 5, (row) => row[`${way}_status`])),
+    return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), value("Eq. 25", "analytic", gammaText),
+      ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
-      ...(this.overlay ? [value("closed form", "predicted_down", 6), text("cause"), text("difference")] : [])];
+      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("difference")] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
