@@ -723,10 +723,10 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
 
 
-def test_neighbours_on_a_fine_axis_have_different_texts(browser: Any, address: str):
+def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_up(browser: Any, address: str):
     job = done(address, spec_of((1.23456, 1.23457, 11), 0.5, 0.2))
     stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()
-    gamma = stored["coords"]["gamma"]["data"]
+    gamma, bounds = stored["coords"]["gamma"]["data"], stored["data_vars"]["flight_error"]["data"]
     with opened(browser, view(address, job, cell=f"{gamma[3]},0.5,0.2,rest")) as page:
         page.get_by_text("Γ 1.23456 – 1.23457 (11)").wait_for()
         page.get_by_text("Γ = 1.234563, Ω = 0.5, ξ = 0.2, from rest").wait_for()
@@ -740,6 +740,8 @@ def test_neighbours_on_a_fine_axis_have_different_texts(browser: Any, address: s
         with Path(download.value.path()).open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert [float(row["Γ"]) for row in rows] == gamma
+        shown = [float(row["flight error ≤ (rad)"]) for row in rows]
+        assert all(bound <= text <= 2 * bound for bound, text in zip(bounds, shown, strict=True))
         page.get_by_role("link", name="Duplicate").click()
         page.get_by_text("11 values: 1.23456, 1.234561, 1.234562 … 1.23457").wait_for()
 

@@ -103,6 +103,12 @@ export const exponentText = (exponent, error) => `${number(exponent, 3)}${Number
 /** The largest Lyapunov exponent of a cell of a result: the first of as many as each cell has. */
 export const exponentOf = ({ lyapunov, lyapunov_error: errors }, cell) => lyapunov[(cell * lyapunov.length) / errors.length];
 
+/** A bound in one digit, rounded up: 1.07e-12 is not below 10⁻¹². */
+function boundText(bound) {
+  const nearest = Number(bound.toPrecision(1));
+  return number(nearest < bound ? nearest + 10 ** Math.floor(Math.log10(nearest)) : nearest, 1);
+}
+
 /** What a table says of the cells of a sweep, as columns. `locate(cell)`: the variables that hold a cell, and its index in them. */
 export function cellColumns({ lyapunov, multiplier, computed }, locate) {
   const column = (title, text) => [title, (cell) => text(...locate(cell))];
@@ -111,7 +117,7 @@ export function cellColumns({ lyapunov, multiplier, computed }, locate) {
     column("mode", modeText),
     lyapunov && column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i])),
     multiplier && column("|μ|", (cells, i) => number(cells.multiplier[i], 3)),
-    multiplier && column("flight error ≤ (rad)", (cells, i) => number(cells.flight_error[i], 1)),
+    multiplier && column("flight error ≤ (rad)", (cells, i) => boundText(cells.flight_error[i])),
     computed && column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : origin(cells, i))),
   ].filter(Boolean);
 }
