@@ -17,6 +17,8 @@ const CHOICES = {
 /** Values above these are remarked on; of longer axes nothing is said. */
 const USUAL = { gamma: 20, omega: 10, xi: 2 };
 const MOST_VALUES = 1e5;
+/** A decimal comma, or two values; not in 0.5,0.6. */
+export const COMMA = /(?<![\d.])\d+,\d+(?![\d.])/;
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 const TEXT_INPUT = { inputmode: "text", maxlength: 200, size: 32 };
 
@@ -99,7 +101,7 @@ export function axisField(axis) {
   const read = () => {
     const limits = Object.fromEntries(Object.entries(range).map(([name, { value }]) => [name, parseNumber(value)]));
     if (kind.value === "range") return { ...limits, spacing: spacing.value };
-    if (/\d,\d/.test(values.value)) return values.value.trim(); // a decimal comma, or two values: the service asks
+    if (COMMA.test(values.value)) return values.value.trim(); // the service asks
     const numbers = values.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
     return numbers.length === 1 ? numbers[0] : numbers;
   };

@@ -2,6 +2,7 @@
 
 import { h } from "../lib/dom.js";
 import { AXES } from "../lib/physics.js";
+import { COMMA } from "./fields.js";
 
 /** Show the errors of a problem at their fields, and those without a visible field in the problem line `general`; null clears them. */
 export function showProblems(form, general, problem) {
@@ -40,7 +41,7 @@ function inWords({ rule, code }, input) {
   const text = input.value?.trim() ?? "";
   if (code !== "type" && code !== "missing") return rule;
   if (text === "") return "is empty: type a number";
-  const [pair] = text.match(/\d+,\d+/) ?? [];
+  const [pair] = text.match(COMMA) ?? [];
   if (pair && AXES.includes(input.dataset.field)) return `write ${pair.replace(",", ".")}, or ${pair.replace(",", ", ")} for two values`;
   if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
   return rule;
