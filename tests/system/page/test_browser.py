@@ -139,6 +139,8 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         for text, rule in (
             ("5.5", "must be a whole number: 5 or 6, not 5.5"),
             ("", "is empty: type a number"),
+            ("1,001", "must be a whole number, not text '1,001'"),
+            ("0x10", "must be a whole number, not text '0x10'"),
         ):
             page.get_by_label("number of values").first.fill(text)
             page.locator(".error", has_text=rule).wait_for()

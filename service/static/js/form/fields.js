@@ -2,7 +2,7 @@
 // gives null, and write() takes undefined, for the default.
 
 import { h } from "../lib/dom.js";
-import { plural } from "../lib/format.js";
+import { numberIn, plural } from "../lib/format.js";
 import { SYMBOL, axisText, axisValues, meaningOf } from "../lib/physics.js";
 
 /** Texts of choices, where their names are not enough. */
@@ -24,9 +24,9 @@ const TEXT_INPUT = { inputmode: "text", maxlength: 200, size: 32 };
 
 /** Typed text as a number; as it is where it is none, for the service to refuse; null where it is empty. */
 function parseNumber(text) {
-  const trimmed = text.trim().replace("−", "-");
+  const trimmed = text.trim().replaceAll("−", "-");
   if (trimmed === "") return null;
-  return Number.isFinite(Number(trimmed)) ? Number(trimmed) : trimmed;
+  return Number.isFinite(numberIn(trimmed)) ? numberIn(trimmed) : trimmed;
 }
 
 const options = (texts) => Object.entries(texts).map(([value, text]) => h("option", { value }, text));

@@ -43,7 +43,7 @@ function inWords({ rule, code }, input) {
   if (text === "") return "is empty: type a number";
   const [pair] = text.match(COMMA) ?? [];
   if (pair && AXES.includes(input.dataset.field)) return `write ${pair.replace(",", ".")}, or ${pair.replace(",", ", ")} for two values`;
-  if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
+  if (/^[-−+]?\d+,\d+$/.test(text) && !rule.includes("whole number")) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
   return rule;
 }
 

@@ -2,6 +2,7 @@
 
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
+import { numberIn } from "../lib/format.js";
 import { SYMBOL, axisText, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 
 /** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
@@ -48,8 +49,8 @@ export function queryNumber(name, otherwise, { min = 0, max = Number.MAX_VALUE }
 
 /** The number from `min` to `max` that was typed; null of another text, and the input says why. */
 function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
-  const text = input.value.trim().replace("−", "-");
-  const value = text ? Number(text) : NaN;
+  const text = input.value.trim().replaceAll("−", "-");
+  const value = numberIn(text);
   const lowest = min > -Infinity ? ` of ${min} or more` : "";
   const limits = max < Infinity ? ` from ${min} to ${max}` : lowest;
   const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
