@@ -229,7 +229,7 @@ export class PlotView {
     const paths = this.paths();
     this.requested = paths.join();
     try {
-      const results = await Promise.all(paths.map((path) => requestFitting(path, { signal })));
+      const results = await Promise.all(paths.map((path) => requestFitting(path, { signal: AbortSignal.any([signal, this.signal]) })));
       if (this.signal.aborted) return;
       const position = this.current && this.at(this.current);
       this.read(results);
