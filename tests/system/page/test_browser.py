@@ -1000,6 +1000,16 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
             screenshot(page, f"phone-{number}")
 
 
+def test_a_cancelled_map_fits_every_desktop(browser: Any, address: str):
+    job = submitted(address, spec_of((0.9, 6.0, 301), (0.3, 1.2, 301), 0.05, name="Cancelled"))
+    httpx2.post(f"{address}/v1/jobs/{job}/cancel", timeout=DEADLINE).raise_for_status()
+    with opened(browser, view(address, job, "modes")) as page:
+        for width in (1024, 1100, 1280, 1920):
+            page.set_viewport_size({"width": width, "height": 800})
+            page.locator("#bar").get_by_role("button", name="Delete").wait_for()
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
 def _wait_complete(page: Any, path: str) -> None:
     """Wait until the view has loaded everything."""
     if "/new" in path:
