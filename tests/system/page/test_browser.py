@@ -1000,14 +1000,20 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
             screenshot(page, f"phone-{number}")
 
 
-def test_a_cancelled_map_fits_every_desktop(browser: Any, address: str):
-    job = submitted(address, spec_of((0.9, 6.0, 301), (0.3, 1.2, 301), 0.05, name="Cancelled"))
-    httpx2.post(f"{address}/v1/jobs/{job}/cancel", timeout=DEADLINE).raise_for_status()
-    with opened(browser, view(address, job, "modes")) as page:
+def test_maps_fit_every_desktop(browser: Any, address: str):
+    """A cancelled one with many cells and buttons, and one with many classes in its legend."""
+    cancelled = submitted(address, spec_of((0.9, 6.0, 301), (0.3, 1.2, 301), 0.05, name="Cancelled"))
+    httpx2.post(f"{address}/v1/jobs/{cancelled}/cancel", timeout=DEADLINE).raise_for_status()
+    fields = {"refine": {"by": "mode"}, "exponents": 1, "name": "Many classes"}
+    classes = done(address, spec_of((0.8, 3.0, 33), (0.4, 1.2, 33), 0.05, window=(50, 50, 8), **fields))
+    with opened(browser, address) as page:
         for width in (1024, 1100, 1280, 1920):
             page.set_viewport_size({"width": width, "height": 800})
-            page.locator("#bar").get_by_role("button", name="Delete").wait_for()
-            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            for job in (cancelled, classes):
+                page.goto(view(address, job, "modes"))
+                page.locator("#bar").get_by_role("button", name="Delete").wait_for()
+                page.locator(f".panel .legend li >> nth={0 if job == cancelled else 12}").wait_for()
+                assert page.evaluate("document.documentElement.scrollWidth") <= width, job
 
 
 def _wait_complete(page: Any, path: str) -> None:
