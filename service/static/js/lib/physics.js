@@ -44,17 +44,13 @@ export function axisValues(axis) {
   });
 }
 
-const MOST_DIGITS = 14; // what differs after them differs by rounding
 const digitsOf = new WeakMap(); // by the list of an axis
 
 /** A value of an axis in as many digits as tell neighbours among its `values` apart: five where they do. */
 export function axisText(value, values) {
   const power = (x) => Math.floor(Math.log10(Math.abs(x)));
-  const needed = (most, next, i) => {
-    const digits = 1 + power(next) - power(next - values[i - 1]);
-    return digits > most && digits <= MOST_DIGITS ? digits : most;
-  };
-  if (!digitsOf.has(values)) digitsOf.set(values, values.reduce(needed, 5));
+  const needed = (most, next, i) => Math.max(most, 1 + power(next) - power(next - values[i - 1]) || 0);
+  if (!digitsOf.has(values)) digitsOf.set(values, Math.min(values.reduce(needed, 5), 12));
   return number(value, digitsOf.get(values));
 }
 
