@@ -3,7 +3,7 @@
 import { cellQuery, currentQuery, link, navigate, setQuery, windowQuery } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { choice, h, problemLine } from "../lib/dom.js";
-import { AXES, isSweep } from "../lib/physics.js";
+import { AXES, isClose, isSweep } from "../lib/physics.js";
 import { numberedColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
 import { Diagram } from "../views/diagram.js";
@@ -32,10 +32,7 @@ export class Compare {
   }
 
   async refresh() {
-    if (this.sources) {
-      this.views.forEach((view) => view.load());
-      return;
-    }
+    if (this.sources) return this.views.forEach((view) => view.load());
     try {
       if (this.ids.length < 2) throw new Error("Select two sweeps or more in the list of sweeps, and press Compare.");
       if (this.ids.length > MOST_COMPARED) throw new Error(`At most ${MOST_COMPARED} sweeps can be compared; ${this.ids.length} were selected.`);
@@ -54,7 +51,7 @@ export class Compare {
     this.sources = jobs.map((job, i) => sourceOf(job, i + 1));
     this.mapped = this.sources.filter(({ grid }) => grid.gamma.length > 1 && grid.omega.length > 1);
     // The values that any of the sweeps has; each is shown at its own nearest one.
-    const merged = (lists) => [...new Set(lists.flat())].sort((a, b) => a - b);
+    const merged = (lists) => lists.flat().sort((a, b) => a - b).filter((value, i, all) => !i || !isClose(value, all[i - 1]));
     this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
     this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(numberedColour(number, theme().dark),
       h("a", { href: link(["job", job.id]) }, titleOf(job)), h("p", { className: "summary" }, summary(job)))));
