@@ -28,10 +28,7 @@ async function showAddress() {
   const address = currentAddress();
   const [name = "", id] = address.path;
   const wanted = [name, name === "job" && id, address.query.jobs].join();
-  if (wanted === shown) {
-    page?.show?.();
-    return;
-  }
+  if (wanted === shown) return page?.show?.();
   leaving.abort();
   leaving = new AbortController();
   document.getElementById("bar").replaceChildren();

@@ -59,10 +59,7 @@ export class SweepForm {
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
     this.plan = new Plan(() => this.#read(), (spec) => this.#replace(spec), (budget) => this.#submit({ budget }));
-    const submit = (event) => {
-      event.preventDefault();
-      this.#submit();
-    };
+    const submit = (event) => { event.preventDefault(); this.#submit(); };
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: submit, oninput: this.#onEdit, onchange: this.#onEdit });
     this.container.replaceChildren(
       h("p", { className: "preset" }, h("label", {}, "Study ", this.kind), h("label", {}, "Start from ", this.preset)),

@@ -89,10 +89,7 @@ export function latest(work) {
   let next = null;
   return async (...args) => {
     next = args;
-    if (running) {
-      setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
-      return;
-    }
+    if (running) return setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
     while (next) {
       const current = next;
       next = null;

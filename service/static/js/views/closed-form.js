@@ -147,15 +147,13 @@ function drawEvent(ctx, box, [px, py], text, taken) {
   ctx.font = `italic 13px ${box.theme.serif}`;
   const width = ctx.measureText(text).width;
   const [before, after] = [px - MARK_PX - 5 - width, px + MARK_PX + 5];
-  for (const [left, top] of [[after, py - 15], [after, py + 2], [before, py - 15], [before, py + 2]]) {
-    const label = { left, right: left + width, top, bottom: top + 15 };
-    const isInside = isInBox(left, top, box) && isInBox(label.right, label.bottom, box);
-    const overlaps = (other) => left < other.right && other.left < label.right && top < other.bottom && other.top < label.bottom;
-    if (!isInside || taken.some(overlaps)) continue;
-    taken.push(label);
-    box.texts.push({ text, x: left, y: top + 7, italic: true, colour: box.theme.branch });
-    return;
-  }
+  const places = [[after, py - 15], [after, py + 2], [before, py - 15], [before, py + 2]];
+  const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+  const isFree = (label) => isInBox(label.left, label.top, box) && isInBox(label.right, label.bottom, box) && !taken.some((other) => overlap(label, other));
+  const label = places.map(([left, top]) => ({ left, right: left + width, top, bottom: top + 15 })).find(isFree);
+  if (!label) return;
+  taken.push(label);
+  box.texts.push({ text, x: label.left, y: label.top + 7, italic: true, colour: box.theme.branch });
 }
 
 /** The cycle nearest to a position in axis values, nearer than NEAR_PX; null if there is none. */

@@ -118,10 +118,7 @@ export class JobView {
   }
 
   #onChange(job) {
-    if (job.id !== this.id) {
-      navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
-      return;
-    }
+    if (job.id !== this.id) return navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
     Object.assign(this.job, job);
     this.#describe();
     this.#pollAfter(POLL_MS / 2);

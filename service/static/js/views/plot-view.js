@@ -89,9 +89,7 @@ export class PlotView {
   }
 
   /** "Ω = 0.5,   ξ = 0.26" */
-  textOf(place) {
-    return Object.entries(place).map(([axis, value]) => `${SYMBOL[axis]} = ${axisText(value, this.grid[axis])}`).join(",   ");
-  }
+  textOf = (place) => Object.entries(place).map(([axis, value]) => `${SYMBOL[axis]} = ${axisText(value, this.grid[axis])}`).join(",   ");
 
   /** The window zoomed to; null for everything. */
   get window() {

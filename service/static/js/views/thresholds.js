@@ -164,10 +164,7 @@ function drawSeries(ctx, box, rows, way, colour, direction) {
 
 /** A disc on the way up, a hollow square on the way down: distinct without colour too. */
 function drawMarker(ctx, [x, y], size, colour, direction, background) {
-  if (direction !== "down") {
-    disc(ctx, colour, x, y, size);
-    return;
-  }
+  if (direction !== "down") return disc(ctx, colour, x, y, size);
   const square = [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]];
   polygon(ctx, background, square);
   polyline(ctx, colour, 1.6, square);
