@@ -28,10 +28,9 @@ export class SweepList {
     this.signal = signal;
     document.title = "Bouncing spring";
     const find = () => this.#find();
-    const submit = (event) => { event.preventDefault(); find(); };
     const select = (name, title, options) => choice(title, options, "", find, { name });
     const search = h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, find) });
-    this.filters = h("form", { className: "controls", role: "search", "aria-label": "Find sweeps", onsubmit: submit },
+    this.filters = h("form", { className: "controls", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
       h("label", { className: "option" }, "Find ", search),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
     this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });

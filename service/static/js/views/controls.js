@@ -16,7 +16,7 @@ function slider(view, axis) {
   const values = view.valuesOf(axis);
   const id = `slider-${axis}`;
   const typed = h("input", {
-    type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
+    type: "text", inputmode: "decimal", size: 1, "aria-label": `Value of ${SYMBOL[axis]}`,
     onchange: () => {
       const value = typedIn(typed);
       const nearest = view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)];
@@ -31,6 +31,7 @@ function slider(view, axis) {
     const value = view.place[axis];
     input.value = String(nearestIndex(values, value));
     typed.value = axisText(value, values);
+    typed.style.minWidth = `calc(${typed.value.length}ch + .9rem)`;
     typed.setCustomValidity("");
     input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${typed.value}`);
     element.hidden = axis === view.along;
