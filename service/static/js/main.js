@@ -7,10 +7,9 @@ import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
 
 // A page is built with its root element, the address and a signal that is aborted when the page is left. It has
-// refresh(redraw): load again; and, where the address may change to another state of the same page, show(). Without the
-// names of every object, such as constructor.
+// refresh(redraw): load again; and, where the address may change to another state of the same page, show().
 const PAGES = {
-  __proto__: null,
+  __proto__: null, // #/constructor is no page
   "": async () => (await import("./start/sweeps.js")).SweepList,
   new: async () => (await import("./form/form.js")).SweepForm,
   job: async () => (await import("./views/job.js")).JobView,
@@ -19,9 +18,9 @@ const PAGES = {
 };
 const REST_MS = 2000; // after the first page the others are loaded
 const root = document.getElementById("view");
-let page = null; // while it is loaded
-let shown = null; // which page
-let leaving = new AbortController(); // it
+let page = null; // also while its script is loaded
+let shown = null; // what the address has of the page that is shown or loaded
+let leaving = new AbortController(); // aborted when the page is left
 
 async function showAddress() {
   discardPending();
@@ -29,19 +28,16 @@ async function showAddress() {
   const address = currentAddress();
   const [name = "", id] = address.path;
   const wanted = [name, name === "job" && id, address.query.jobs].join();
-  if (wanted === shown) {
-    page?.show?.();
-    return;
-  }
+  if (wanted === shown) return page?.show?.();
   leaving.abort();
   leaving = new AbortController();
   document.getElementById("bar").replaceChildren();
   root.dataset.page = name;
   const isFirst = shown === null;
   [page, shown] = [null, wanted];
-  const load = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
-  const Page = await load().catch(() => connection.dispatchEvent(new Event("unreachable")) && null);
-  if (!Page || page || wanted !== shown) return; // the service is away; built, or left, meanwhile
+  const loadPage = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
+  const Page = await loadPage().catch(() => connection.dispatchEvent(new Event("unreachable")) && null);
+  if (!Page || page || wanted !== shown) return; // the service does not answer; the page was built, or left, meanwhile
   page = new Page(root, currentAddress(), leaving.signal);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
@@ -54,7 +50,7 @@ async function showAddress() {
   }
 }
 
-/** Of several views, the one that is dropped on, or else the first. */
+/** Measured points are for the view that they are dropped on, or else for the first one. */
 function takeMeasured(file, target) {
   const views = [page?.view, ...(page?.views ?? [])].filter((view) => view?.measured);
   const view = views.find(({ plot }) => plot.element.contains(target)) ?? views[0];
@@ -67,8 +63,6 @@ class NotFound {
   constructor() {
     root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
   }
-
-  refresh() {}
 }
 
 // Not through the link's address, which holds the view.
@@ -80,19 +74,19 @@ addEventListener("hashchange", () => {
   takeToken();
   showAddress();
 });
-// Measured points that are dropped are for the view; a specification or a shared file is for the form.
+// Without this, the browser would open the file.
 addEventListener("dragover", (event) => event.dataTransfer.types.includes("Files") && event.preventDefault());
 addEventListener("drop", (event) => {
   const [file] = event.dataTransfer.files;
   if (!file) return;
   event.preventDefault();
   if (/\.csv$/i.test(file.name)) return takeMeasured(file, event.target);
-  if (shared) return;
+  if (shared) return; // a specification or a shared file is for the form of a service
   dropped.file = file;
   if (page?.pasted) page.pasted.takeDropped();
   else navigate(["new"]);
 });
-document.addEventListener("visibilitychange", () => document.hidden || page?.refresh(false)); // sweeps may have changed meanwhile
-watchConnection(() => (page ? page.refresh() : location.reload())); // a browser may not load again what it could not
+document.addEventListener("visibilitychange", () => document.hidden || page?.refresh?.(false)); // sweeps may have changed meanwhile
+watchConnection(() => (page?.refresh ? page.refresh() : location.reload())); // a browser may not load again what it could not
 takeToken();
 showAddress();

@@ -42,6 +42,13 @@ def test_the_form_submits_an_adaptive_map(browser: Any, address: str):
         assert job_of(address, id)["spec"]["refine"] == {"by": "bouncing", "coarsest": 8, "margin": False}
 
 
+def test_the_form_keeps_the_exponents_of_a_map(browser: Any, address: str):
+    parent = done(address, MAP | {"gamma": 2.5, "omega": [0.4, 0.6, 0.8], "exponents": 1})
+    with opened(browser, f"{address}/#/new?from={parent}") as page:
+        page.locator("button.button:enabled", has_text="Compute").click()
+        page.wait_for_url(re.compile(f"#/job/{parent}"))  # the same study
+
+
 def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: Any, address: str):
     parent = done(address, MAP)
     share = httpx2.get(f"{address}/v1/jobs/{parent}/modes", timeout=DEADLINE).json()["attrs"][

@@ -1,5 +1,6 @@
 """The page in a real Chromium, served by a real service."""
 
+import csv
 import json
 import math
 import os
@@ -131,12 +132,15 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         page.locator(".error", has_text="write a decimal point, not a comma: 0.1").wait_for()
         page.locator("[data-field='xi']").fill("0,26")
         page.locator(".error", has_text="write 0.26, or 0, 26 for two values").wait_for()
-        page.locator("[data-field='xi']").fill("0.26")
+        page.locator("[data-field='xi']").fill("0.25,0.26")
+        page.locator(".parsed", has_text="2 values: 0.25, 0.26").wait_for()
         page.get_by_label("start", exact=True).first.fill("1")
         page.get_by_label("restitution").fill("0.1")
         for text, rule in (
             ("5.5", "must be a whole number: 5 or 6, not 5.5"),
             ("", "is empty: type a number"),
+            ("1,001", "must be a whole number, not text '1,001'"),
+            ("0x10", "must be a whole number, not text '0x10'"),
         ):
             page.get_by_label("number of values").first.fill(text)
             page.locator(".error", has_text=rule).wait_for()
@@ -722,6 +726,29 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
 
 
+def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_up(browser: Any, address: str):
+    job = done(address, spec_of((1.23456, 1.23457, 11), 0.5, 0.2))
+    stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()
+    gamma, bounds = stored["coords"]["gamma"]["data"], stored["data_vars"]["flight_error"]["data"]
+    with opened(browser, view(address, job, cell=f"{gamma[3]},0.5,0.2,rest")) as page:
+        page.get_by_text("Γ 1.23456 – 1.23457 (11)").wait_for()
+        page.get_by_text("Γ = 1.234563, Ω = 0.5, ξ = 0.2, from rest").wait_for()
+        page.get_by_text("Table of what is shown").click()
+        rows = page.locator(".paged tbody tr")
+        wait_for(lambda: rows.count() == len(gamma))
+        texts = [row.split("\t") for row in rows.all_inner_texts()]
+        assert [text for text, *_ in texts][:3] == ["1.23456", "1.234561", "1.234562"]
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        with Path(download.value.path()).open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [float(row["Γ"]) for row in rows] == gamma
+        shown = [float(row["flight error ≤ (rad)"]) for row in rows]
+        assert all(bound <= text <= 2 * bound for bound, text in zip(bounds, shown, strict=True))
+        page.get_by_role("link", name="Duplicate").click()
+        page.get_by_text("11 values: 1.23456, 1.234561, 1.234562 … 1.23457").wait_for()
+
+
 def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
         wait_shown(page, xi=0.05)
@@ -971,6 +998,22 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
             assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
             screenshot(page, f"phone-{number}")
+
+
+def test_maps_fit_every_desktop(browser: Any, address: str):
+    """A cancelled one with many cells and buttons, and one with many classes in its legend."""
+    cancelled = submitted(address, spec_of((0.9, 6.0, 301), (0.3, 1.2, 301), 0.05, name="Cancelled"))
+    httpx2.post(f"{address}/v1/jobs/{cancelled}/cancel", timeout=DEADLINE).raise_for_status()
+    fields = {"refine": {"by": "mode"}, "exponents": 1, "name": "Many classes"}
+    classes = done(address, spec_of((0.8, 3.0, 33), (0.4, 1.2, 33), 0.05, window=(50, 50, 8), **fields))
+    with opened(browser, address) as page:
+        for width in (1024, 1100, 1280, 1920):
+            page.set_viewport_size({"width": width, "height": 800})
+            for job in (cancelled, classes):
+                page.goto(view(address, job, "modes"))
+                page.locator("#bar").get_by_role("button", name="Delete").wait_for()
+                page.locator(f".panel .legend li >> nth={0 if job == cancelled else 12}").wait_for()
+                assert page.evaluate("document.documentElement.scrollWidth") <= width, job
 
 
 def _wait_complete(page: Any, path: str) -> None:

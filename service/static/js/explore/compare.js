@@ -3,8 +3,8 @@
 import { cellQuery, currentQuery, link, navigate, setQuery, windowQuery } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { choice, h, problemLine } from "../lib/dom.js";
-import { isSweep } from "../lib/physics.js";
-import { branchColour, theme } from "../plot/colours.js";
+import { AXES, isClose, isSweep } from "../lib/physics.js";
+import { numberedColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
 import { Diagram } from "../views/diagram.js";
 import { buildFrame } from "../views/frame.js";
@@ -24,26 +24,24 @@ export class Compare {
     document.title = "Comparison · Bouncing spring";
     this.ids = [...new Set((query.jobs ?? "").split(",").filter(Boolean))];
     this.problem = problemLine();
-    this.controls = h("div", { className: "controls" });
+    this.layouts = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
-    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Comparison")], line: [this.legend], tabs: this.controls, problem: this.problem.element });
-    [this.panel, this.bar] = [frame.panel, frame.controls];
+    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Comparison")], line: [this.legend], tabs: this.layouts, problem: this.problem.element });
+    [this.panel, this.controls] = [frame.panel, frame.controls];
     this.refresh();
   }
 
   async refresh() {
-    if (this.sources) {
-      this.views.forEach((view) => view.load());
-      return;
-    }
+    if (this.sources) return this.views.forEach((view) => view.load());
     try {
       if (this.ids.length < 2) throw new Error("Select two sweeps or more in the list of sweeps, and press Compare.");
       if (this.ids.length > MOST_COMPARED) throw new Error(`At most ${MOST_COMPARED} sweeps can be compared; ${this.ids.length} were selected.`);
       const jobs = await Promise.all(this.ids.map((id) => requestJson(`/v1/jobs/${id}`, { signal: this.signal })));
-      const others = jobs.filter(({ spec }) => !isSweep(spec)).map(titleOf).join(", ");
-      if (jobs.filter(({ spec }) => isSweep(spec)).length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
+      const sweeps = jobs.filter(({ spec }) => isSweep(spec));
+      const others = jobs.filter((job) => !sweeps.includes(job)).map(titleOf).join(", ");
+      if (sweeps.length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
       this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
-      this.#start(jobs.filter(({ spec }) => isSweep(spec)));
+      this.#start(sweeps);
     } catch (error) {
       this.problem.show(error);
     }
@@ -53,14 +51,14 @@ export class Compare {
     this.sources = jobs.map((job, i) => sourceOf(job, i + 1));
     this.mapped = this.sources.filter(({ grid }) => grid.gamma.length > 1 && grid.omega.length > 1);
     // The values that any of the sweeps has; each is shown at its own nearest one.
-    const merged = (lists) => [...new Set(lists.flat())].sort((a, b) => a - b);
-    this.grid = Object.fromEntries(["gamma", "omega", "xi"].map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
-    this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(branchColour(number, theme().dark),
+    const merged = (lists) => lists.flat().sort((a, b) => a - b).filter((value, i, all) => !i || !isClose(value, all[i - 1]));
+    this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
+    this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(numberedColour(number, theme().dark),
       h("a", { href: link(["job", job.id]) }, titleOf(job)), h("p", { className: "summary" }, summary(job)))));
     const { layout } = currentQuery();
     const layouts = Object.entries(LAYOUTS).filter(([name]) => name !== "maps" || this.mapped.length > 1);
     const initial = layouts.some(([name]) => name === layout) ? layout : "overlay";
-    this.controls.replaceChildren(choice("Layout", layouts, initial, (name) => {
+    this.layouts.replaceChildren(choice("Layout", layouts, initial, (name) => {
       setQuery({ layout: name === "overlay" ? null : name, ...windowQuery(null) });
       this.#build(name);
     }));
@@ -72,26 +70,26 @@ export class Compare {
     this.leaving = new AbortController(); // of this layout
     const signal = AbortSignal.any([this.signal, this.leaving.signal]);
     const [View, sources] = [ON_MAPS[layout] ?? Diagram, layout === "maps" ? this.mapped : this.sources];
-    const groups = layout === "difference" ? [sources.slice(0, 2)] : layout === "overlay" ? [sources] : sources.map((source) => [source]);
+    const groups = { overlay: [sources], difference: [sources.slice(0, 2)] }[layout] ?? sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
-    const isOne = groups.length < 2;
-    const roots = isOne ? [this.panel] : groups.map(() => h("section", {}));
-    this.panel.className = isOne ? "panel" : "panel side";
-    this.panel.replaceChildren(...(isOne ? [] : roots));
-    this.bar.replaceChildren();
+    const isSide = groups.length > 1; // views side by side
+    const roots = isSide ? groups.map(() => h("section", {})) : [this.panel];
+    this.panel.className = isSide ? "panel side" : "panel";
+    this.panel.replaceChildren(...(isSide ? roots : []));
+    this.controls.replaceChildren();
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, signal, compared: sources, bar: isOne ? this.bar : null, grid: this.grid, isFollower: i > 0, prefix: groups.length > 1 ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid: this.grid, isFollower: i > 0,
+      prefix: isSide ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
       onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown
     }));
   }
 
-  /** The window of all data of the views. */
   #extent() {
     const windows = this.views.filter(({ isLoaded }) => isLoaded).map((view) => view.whole());
-    const of = (name, choose) => choose(...windows.map((window) => window[name]));
-    return { x0: of("x0", Math.min), x1: of("x1", Math.max), y0: of("y0", Math.min), y1: of("y1", Math.max) };
+    const side = (name, choose) => choose(...windows.map((window) => window[name]));
+    return { x0: side("x0", Math.min), x1: side("x1", Math.max), y0: side("y0", Math.min), y1: side("y1", Math.max) };
   }
 }

@@ -2,13 +2,13 @@
 
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { modeText, nearestIndex } from "../lib/physics.js";
+import { axisText, modeText, nearestIndex } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
 
+const HINT = "Cells that differ have the colour that they have in the second sweep.";
 const OTHER_MODE = 1; // of `differs`
 
 /** The cells of the first sweep; each is compared with the nearest one of the second. */
@@ -19,7 +19,7 @@ export class Difference extends PlaneView {
     super(view);
     this.sentence = h("p", { className: "sentence", role: "status" });
     this.legend = new ClassLegend(this, "Modes of the second sweep");
-    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", shown: [this.legend.element], hint: "Cells that differ have the colour that they have in the second sweep." });
+    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", shown: [this.legend.element], hint: HINT });
   }
 
   paths() {
@@ -32,9 +32,10 @@ export class Difference extends PlaneView {
   }
 
   read([result]) {
-    const [first, second] = ["", "other_"].map((sweep) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[sweep + name]?.data])));
-    Object.assign(this, { first, second, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, differs: result.differs.data, classes: modeClasses(second) });
-    this.title = `ξ = ${[...new Set([this.xi, result.attrs.other_xi])].map((xi) => number(xi)).join(" and ")}`;
+    const cellsOf = (prefix) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[prefix + name]?.data]));
+    [this.columns, this.rows, this.xi, this.differs] = ["gamma", "omega", "xi", "differs"].map((name) => result[name].data);
+    Object.assign(this, { first: cellsOf(""), second: cellsOf("other_"), classes: modeClasses(cellsOf("other_")) });
+    this.title = `ξ = ${[...new Set([this.xi, result.attrs.other_xi])].map((xi) => axisText(xi, this.grid.xi)).join(" and ")}`;
     this.sentence.textContent = result.attrs.sentence;
   }
 
@@ -63,6 +64,6 @@ export class Difference extends PlaneView {
   }
 
   columnsOfTable() {
-    return [...this.columnsOfPlane(), ["first", (cell) => modeText(this.first, this.indexOf(cell))], ["second", (cell) => modeText(this.second, this.indexOf(cell))]];
+    return [...this.columnsOfPlane(), ...["first", "second"].map((name) => [name, (cell) => modeText(this[name], this.indexOf(cell))])];
   }
 }

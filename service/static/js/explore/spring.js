@@ -1,6 +1,6 @@
 // One spring, explored without a sweep: Γ, Ω and ξ, its contact; cycles and their events, thresholds, motion, return map.
 
-import { cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
+import { cellIn, cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { choice, h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
@@ -8,7 +8,7 @@ import { AXES, clamp, contactQuery, inSymbols, isClose, startOf, threshold } fro
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
-import { given, numberInput, sliders } from "../views/controls.js";
+import { queryNumber, numberInput, sliders } from "../views/controls.js";
 import { CyclesView } from "../views/cycles.js";
 import { buildFrame } from "../views/frame.js";
 
@@ -22,15 +22,15 @@ const CONTACTS = [["ideal", "ideal plate"], ["rigid", "rigid"], ["soft", "soft"]
 const RESTITUTION = { ideal: 0, rigid: 0.3, soft: 0.01 };
 const PENETRATION = 0.001;
 const LIMITS = { restitution: { max: 0.999 }, penetration: { min: 1e-12, max: 1 } }; // of contacts that have branches
-
 const contactName = () => CONTACTS.find(([name]) => name === currentQuery().contact)?.[0] ?? "ideal";
-const longest = () => clamp(Math.round(given("periods", 3)), 1, LONGEST);
+const longest = () => clamp(Math.round(queryNumber("periods", 3)), 1, LONGEST);
 
-/** The contact that the address names. */
 function contactOf() {
   const name = contactName();
-  const restitution = given("restitution", RESTITUTION[name], LIMITS.restitution);
-  return { ideal: { kind: "rigid" }, rigid: { kind: "rigid", restitution }, soft: { kind: "soft", restitution, penetration: given("penetration", PENETRATION, LIMITS.penetration), adhesive: true } }[name];
+  const restitution = queryNumber("restitution", RESTITUTION[name], LIMITS.restitution);
+  const penetration = queryNumber("penetration", PENETRATION, LIMITS.penetration);
+  if (name === "ideal") return { kind: "rigid" };
+  return name === "rigid" ? { kind: "rigid", restitution } : { kind: "soft", restitution, penetration, adhesive: true };
 }
 
 /** The cycles of the spring, and the flights of the motion shown. */
@@ -41,11 +41,20 @@ class Cycles extends CyclesView {
     super({ sources: [SPRING], signal, bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
     Object.assign(this, { motion, words });
     const typed = h("span", { className: "controls" });
-    const contact = choice("Contact", CONTACTS, "", (name) => { setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null }); this.showChoices(); });
-    const cycles = choice("Cycles up to", range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]), "", (periods) => setQuery({ periods }));
+    const changeContact = (name) => {
+      setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null });
+      this.showChoices();
+    };
+    const contact = choice("Contact", CONTACTS, "", changeContact);
+    const modes = range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]);
+    const cycles = choice("Cycles up to", modes, "", (periods) => setQuery({ periods }));
     this.showChoices = () => {
-      [contact.control.value, cycles.control.value] = [contactName(), longest()];
-      typed.replaceChildren(...(contactName() === "ideal" ? [] : [numberInput("e", "restitution", RESTITUTION[contactName()], LIMITS.restitution)]), ...(contactName() === "soft" ? [numberInput("depth", "penetration", PENETRATION, LIMITS.penetration)] : []));
+      const name = contactName();
+      [contact.control.value, cycles.control.value] = [name, longest()];
+      typed.replaceChildren(...[
+        name !== "ideal" && numberInput("e", "restitution", RESTITUTION[name], LIMITS.restitution),
+        name === "soft" && numberInput("depth", "penetration", PENETRATION, LIMITS.penetration),
+      ].filter(Boolean));
     };
     this.showChoices();
     this.build(root, { controls: h("div", { className: "controls" }, sliders(this, AXES), contact, typed, cycles), hint: HINT });
@@ -55,14 +64,13 @@ class Cycles extends CyclesView {
 
   /** As typed, not only the values of the sliders. */
   get place() {
-    return Object.fromEntries(AXES.map((axis) => [axis, clamp(given(axis, START[axis]), GRID[axis][0], GRID[axis].at(-1))]));
+    return Object.fromEntries(AXES.map((axis) => [axis, clamp(queryNumber(axis, START[axis]), GRID[axis][0], GRID[axis].at(-1))]));
   }
 
   /** The start: the cycle that the address names, if it is one of this spring. */
   get direction() {
-    const [gamma, omega, xi, name = ""] = (currentQuery().cell ?? "").split(",");
-    const { place } = this;
-    return startOf(name) && isClose(Number(gamma), place.gamma) && isClose(Number(omega), place.omega) && isClose(Number(xi), place.xi) ? name : "rest";
+    const cell = cellIn(currentQuery());
+    return cell && startOf(cell.direction) && AXES.every((axis) => isClose(cell[axis], this.place[axis])) ? cell.direction : "rest";
   }
 
   paths() {
@@ -85,24 +93,25 @@ class Cycles extends CyclesView {
     const isAnswered = this.described === this.paths().join();
     const isOwn = "model" in contactQuery(contactOf());
     const lowest = isOwn ? isAnswered && this.restEnds : threshold(omega, xi);
-    const parts = lowest ? [`Rest ends at Γ = ${number(lowest, 4)} (${isOwn ? "of this contact" : "Eq. 25"}): at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}.`] : [];
+    const sentences = [];
+    const fate = `at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}`;
+    if (lowest) sentences.push(`Rest ends at Γ = ${number(lowest, 4)} (${isOwn ? "of this contact" : "Eq. 25"}): ${fate}.`);
     if (isAnswered) {
       const [jump, down, cause, reason] = ["jump", "down", "cause", "reason"].map((name) => this.thresholds[name].data);
-      if (jump !== null) parts.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
-      if (down === null) parts.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
-      else parts.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${isOwn && down === lowest ? "rest" : cause}).`);
+      if (jump !== null) sentences.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
+      if (down === null) sentences.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
+      else sentences.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${isOwn && down === lowest ? "rest" : cause}).`);
     }
-    this.words.textContent = inSymbols(parts.join(" "));
+    this.words.textContent = inSymbols(sentences.join(" "));
   }
 
-  /** With the flights of the motion at its Γ. */
   content() {
     const content = super.content();
     const { gamma } = this.place;
     const { trajectory } = this.motion;
     const flights = (ctx, box) => {
       verticalLine(ctx, box, box.x.pixel(gamma), box.theme.cursor);
-      if (trajectory && isClose(trajectory.gamma, gamma)) for (const time of new Set(trajectory.flights)) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
+      for (const time of trajectory && isClose(trajectory.gamma, gamma) ? new Set(trajectory.flights) : []) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
     };
     return { ...content, layers: [...content.layers, flights] };
   }
@@ -118,9 +127,9 @@ export class Explore {
     setQuery({ ...START, ...currentQuery() });
     this.sweep = h("a", {}, "New sweep around this spring");
     const words = h("p", { className: "summary closed", role: "status" });
-    const { controls, panel, aside } = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
-    this.motion = new TrajectoryPanel(aside, signal);
-    this.view = new Cycles(panel, signal, controls, words, this.motion);
+    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
+    this.motion = new TrajectoryPanel(frame.trajectorySection, signal);
+    this.view = new Cycles(frame.panel, signal, frame.controls, words, this.motion);
     const move = latest(() => this.#move()); // not aborted: the service computes it anyway
     this.load = () => {
       this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });

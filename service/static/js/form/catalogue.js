@@ -14,43 +14,52 @@ const KINDS = {
   multistability: ["Multistability: all attractors of a grid"],
   orbits: ["Cycles in closed form, stable and unstable"],
 };
+/** Kinds of the form whose protocol is "rest". */
+export const OF_REST = ["rest", "map", "exponents"];
 /** Fields that a kind does not have, though its specification can. */
-const WITHOUT = { rest: ["refine", "exponents"], ramp: ["refine"], map: ["exponents"], exponents: ["refine"] };
+const WITHOUT = { rest: ["refine", "exponents"], ramp: ["refine"], exponents: ["refine"] };
 
-/** The kind of a specification. */
 export function kindOf({ protocol: { kind = "rest" } = {}, refine, exponents }) {
-  return kind !== "rest" ? kind : refine ? "map" : exponents ? "exponents" : "rest";
+  if (kind === "rest" && refine) return "map";
+  return kind === "rest" && exponents ? "exponents" : kind;
 }
 
-/**
- * The studies that the API declares: {kind: {title, begin, fields, parts, models}, …}. `fields` are {settle: {title,
+/** The studies that the API declares: {kind: {title, begin, fields, parts, models}, …}. `fields` are {settle: {title,
  * about, default, type, choices (of an enum), parts (of an object, its fields)}, …}, `parts` those of the protocol,
  * `models` [{kind, about, fields}, …], `begin` the specification that a form begins with.
  *
- * A new field, contact model or kind of study appears in the form, with its title and description, without any change to the page.
- */
+ * A new field, contact model or kind of study appears in the form, with its title and description, without any change to the page. */
 export async function loadStudies() {
   const { schemas } = (await requestJson("/openapi.json")).components;
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
   const alternatives = (schema) => (schema.oneOf ?? schema.anyOf ?? [schema]).map(resolve);
-  const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties).filter(([, schema]) => !("const" in schema)).map(([name, schema]) => {
-    const { type, enum: choices, title = name, description = "", default: own, "x-default": shown } = { ...resolve(schema), ...schema };
-    const optional = schema.anyOf?.find((each) => each.enum)?.enum; // a choice that may be left open
-    const parts = alternatives(schema).find((each) => each.properties)?.properties;
-    return [name, { title: title.replace(/[A-Z]/g, (letter) => letter.toLowerCase()), about: description.replace(/\.$/, ""), default: own ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]), parts: parts && fieldsOf(parts) }];
-  }));
-  const found = Object.values(schemas).filter(({ properties }) => properties?.protocol && properties.xi).flatMap(({ properties, description, examples = [{}] }) => {
-    const { protocol, parent, ...own } = properties;
-    const fields = fieldsOf(own);
-    const models = own.model && alternatives(own.model).map((model) => ({ kind: model.properties.kind.const, about: firstClause(model.description ?? ""), fields: fieldsOf(model.properties) }));
-    return alternatives(protocol).flatMap(({ properties: parts }) => (parts.kind.const === "rest" ? ["rest", "map", "exponents"] : [parts.kind.const]).map((kind) => {
+  const fieldOf = (name, schema) => {
+    const { type, enum: choices, title = name, description = "", default: initial, "x-default": shown } = { ...resolve(schema), ...schema };
+    const optional = schema.anyOf?.find((alternative) => alternative.enum)?.enum; // a choice that may be left open
+    const parts = alternatives(schema).find(({ properties }) => properties)?.properties;
+    return {
+      title: title.replace(/[A-Z]/g, (letter) => letter.toLowerCase()), about: description.replace(/\.$/, ""),
+      default: initial ?? shown ?? null, type, choices: choices ?? (optional && ["", ...optional]), parts: parts && fieldsOf(parts),
+    };
+  };
+  const fieldsOf = (properties) => Object.fromEntries(Object.entries(properties)
+    .filter(([, schema]) => !("const" in schema)).map(([name, schema]) => [name, fieldOf(name, schema)]));
+  const modelOf = ({ properties, description = "" }) =>
+    ({ kind: properties.kind.const, about: firstClause(description), fields: fieldsOf(properties) });
+  const studiesOf = ({ properties: { protocol, parent, ...own }, description, examples = [{}] }) => {
+    const fields = Object.entries(fieldsOf(own));
+    const models = own.model && alternatives(own.model).map(modelOf);
+    const studyOf = (kind, parts) => {
       const [title = firstClause(description), begin = examples[0]] = KINDS[kind] ?? [];
-      const kept = Object.entries(fields).filter(([name]) => !WITHOUT[kind]?.includes(name));
+      const kept = fields.filter(([name]) => !WITHOUT[kind]?.includes(name));
       return [kind, { title, begin, fields: Object.fromEntries(kept), parts: fieldsOf(parts), models }];
-    }));
-  });
-  const order = (kind) => (Object.keys(KINDS).indexOf(kind) + 100) % 100;
-  return Object.fromEntries(found.sort(([a], [b]) => order(a) - order(b)));
+    };
+    return alternatives(protocol).flatMap(({ properties: parts }) =>
+      (parts.kind.const === "rest" ? OF_REST : [parts.kind.const]).map((kind) => studyOf(kind, parts)));
+  };
+  const studies = Object.values(schemas).filter(({ properties }) => properties?.protocol && properties.xi).flatMap(studiesOf);
+  const order = (kind) => (Object.keys(KINDS).indexOf(kind) + 100) % 100; // unknown kinds last
+  return Object.fromEntries(studies.sort(([a], [b]) => order(a) - order(b)));
 }
 
 /** "Ideal plate (no penetration); restitution 0 sticks." → "ideal plate" */
@@ -59,16 +68,14 @@ function firstClause(description) {
   return clause.charAt(0).toLowerCase() + clause.slice(1);
 }
 
-/** What a sweep of a figure is: the figure's title, or how the sweep differs: "figure 7, hardly settled" → "hardly settled". */
+/** What a sweep of a figure shows: the figure's title, or how the sweep differs: "figure 7, hardly settled" → "hardly settled". */
 function variant({ name }, title) {
   const [, ...words] = name.split(", ");
   return words.join(", ") || title;
 }
 
-/**
- * The sweeps of the paper's figures: [{title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value of `figure` in an
- * address: "7", or "7.2" for the second sweep of a figure.
- */
+/** The sweeps of the paper's figures: [{title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value of `figure` in an
+ * address: "7", or "7.2" for the second sweep of a figure. */
 export async function loadPresets() {
   return (await requestJson("/v1/figures")).map(({ number, title, sweeps }) => ({
     title: `Fig. ${number}: ${title}`,

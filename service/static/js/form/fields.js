@@ -2,8 +2,8 @@
 // gives null, and write() takes undefined, for the default.
 
 import { h } from "../lib/dom.js";
-import { number, plural } from "../lib/format.js";
-import { SYMBOL, axisValues, meaningOf } from "../lib/physics.js";
+import { numberIn, plural } from "../lib/format.js";
+import { SYMBOL, axisText, axisValues, meaningOf } from "../lib/physics.js";
 
 /** Texts of choices, where their names are not enough. */
 const CHOICES = {
@@ -17,40 +17,46 @@ const CHOICES = {
 /** Values above these are remarked on; of longer axes nothing is said. */
 const USUAL = { gamma: 20, omega: 10, xi: 2 };
 const MOST_VALUES = 1e5;
-
+export const COMMA = /(?<![\d.])\d+,\d+(?![\d.])/; // of a decimal, or of two values; not in 0.5,0.6
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
+const TEXT_INPUT = { inputmode: "text", maxlength: 200, size: 32 };
 
 /** Typed text as a number; as it is where it is none, for the service to refuse; null where it is empty. */
 function parseNumber(text) {
-  const trimmed = text.trim().replace("−", "-");
+  const trimmed = text.trim().replaceAll("−", "-");
   if (trimmed === "") return null;
-  return Number.isFinite(Number(trimmed)) ? Number(trimmed) : trimmed;
+  return Number.isFinite(numberIn(trimmed)) ? numberIn(trimmed) : trimmed;
 }
 
 const options = (texts) => Object.entries(texts).map(([value, text]) => h("option", { value }, text));
 const labelled = (text, control) => h("label", {}, h("span", {}, text), control);
 
-/** A check box, a choice, a text, a list or a number of the schema; an empty input means the default, which is its placeholder. */
+/** A number, a list, a choice, a check box or a text of the schema; an empty number or list means the default, which is its placeholder. */
 export function schemaField(name, { title, about, type, choices, default: initial }, id = name) {
-  const isList = type === "array";
-  const isNumber = type !== "boolean" && type !== "string" && !choices && !isList;
-  const control = choices ? h("select", { "data-field": id }, choices.map((value) => h("option", { value }, CHOICES[name]?.[value] ?? value)))
-    : type === "boolean" ? h("input", { type: "checkbox", "data-field": id })
-    : h("input", { ...NUMBER_INPUT, ...(isNumber ? {} : { inputmode: "text", maxlength: 200, size: 32 }), "data-field": id });
-  const property = type === "boolean" ? "checked" : "value";
-  if (isNumber || isList) control.placeholder = [initial ?? ""].flat().join(", ");
-  return {
-    element: h("label", { className: "plain" }, h("span", {}, title), control, h("small", {}, about)),
-    read: () => (isList ? (control.value.match(/[^,;\s]+/g) ?? null) : isNumber ? parseNumber(control.value) : control[property] === (initial ?? "") ? null : control[property]),
-    write: (value) => { control[property] = isNumber ? String(value ?? "") : isList ? (value ?? []).join(", ") : (value ?? initial ?? choices?.[0] ?? ""); },
-  };
+  const input = (attributes) => h("input", { ...NUMBER_INPUT, ...attributes, "data-field": id });
+  const placeholder = [initial ?? ""].flat().join(", ");
+  const field = (control, read, write) =>
+    ({ element: h("label", { className: "plain" }, h("span", {}, title), control, h("small", {}, about)), read, write });
+  // Of another control the default is shown as any other value.
+  const shown = (control, property) => field(control, () => (control[property] === (initial ?? "") ? null : control[property]),
+    (value) => { control[property] = value ?? initial ?? choices?.[0] ?? ""; });
+
+  if (choices) return shown(h("select", { "data-field": id }, choices.map((value) => h("option", { value }, CHOICES[name]?.[value] ?? value))), "value");
+  if (type === "boolean") return shown(h("input", { type: "checkbox", "data-field": id }), "checked");
+  if (type === "string") return shown(input(TEXT_INPUT), "value");
+  if (type === "array") {
+    const list = input({ ...TEXT_INPUT, placeholder });
+    return field(list, () => list.value.match(/[^,;\s]+/g), (values) => { list.value = (values ?? []).join(", "); });
+  }
+  const control = input({ placeholder });
+  return field(control, () => parseNumber(control.value), (value) => { control.value = String(value ?? ""); });
 }
 
-/** An object's fields, `parts` of the schema, under a heading; of an object among them, its last number. It begins with `fixed`. */
+/** An object's fields, `parts` of the schema, under a heading; of an object among them, its last number. Its value begins with `fixed`. */
 export function objectField(name, heading, about, parts, fixed = {}) {
-  const fields = Object.entries(parts).map(([key, part]) => {
-    const inner = Object.keys(part.parts ?? {}).at(-1);
-    const field = schemaField(key, inner ? { ...part.parts[inner], default: null } : part, `${name}.${key}`);
+  const fields = Object.entries(parts).map(([key, schema]) => {
+    const inner = Object.keys(schema.parts ?? {}).at(-1);
+    const field = schemaField(key, inner ? { ...schema.parts[inner], default: null } : schema, `${name}.${key}`);
     if (!inner) return [key, field];
     const read = () => (field.read() === null ? null : { [inner]: field.read() });
     return [key, { ...field, read, write: (value) => field.write(value?.[inner]) }];
@@ -67,59 +73,59 @@ export function objectField(name, heading, about, parts, fixed = {}) {
 /** The contact model and its parameters; `models` as in catalogue.js. Another model takes over what is typed, where it has it. */
 export function modelField(models, { kind: initial }) {
   const options = models.map((model) => h("option", { value: model.kind }, `${model.kind}: ${model.about}`));
-  const select = h("select", { "data-field": "model.kind", onchange: () => write({ ...field.read(), kind: select.value }) }, options);
+  const select = h("select", { "data-field": "model.kind", onchange: () => write({ ...parameters.read(), kind: select.value }) }, options);
   const element = h("fieldset", { "data-group": "model" }, h("legend", {}, "Contact"), labelled("contact model", select));
-  let field; // the parameters of the model shown
-  const write = (model = { kind: initial }) => {
-    const { kind, fields } = models.find((each) => each.kind === model.kind);
+  let parameters; // of the model shown
+  const write = (value = { kind: initial }) => {
+    const { kind, fields } = models.find((model) => model.kind === value.kind);
     select.value = kind;
-    field?.elements.forEach((each) => each.remove());
-    field = objectField("model", "Contact", "", fields, { kind });
-    field.write(model);
-    element.append(...field.elements);
+    parameters?.elements.forEach((parameter) => parameter.remove());
+    parameters = objectField("model", "Contact", "", fields, { kind });
+    parameters.write(value);
+    element.append(...parameters.elements);
   };
-  return { element, read: () => field.read(), write };
+  return { element, read: () => parameters.read(), write };
 }
 
-/** One axis: a value or several, or a range. */
 export function axisField(axis) {
-  const input = (field, attributes = {}) => h("input", { ...NUMBER_INPUT, "data-field": field, ...attributes });
+  const input = (name, attributes = {}) => h("input", { ...NUMBER_INPUT, "data-field": name, ...attributes });
   const kind = h("select", { onchange: () => show() }, options({ values: "values", range: "a range" }));
   const values = input(axis, { size: 24 });
   const range = { start: input(`${axis}.start`), stop: input(`${axis}.stop`), num: input(`${axis}.num`, { inputmode: "numeric" }) };
   const spacing = h("select", { "data-field": `${axis}.spacing` }, options({ linear: "linear", log: "log" }));
   const list = labelled("one value, or several separated by commas", values);
-  const parts = [labelled("start", range.start), labelled("stop", range.stop), labelled("number of values", range.num), labelled("spacing", spacing)];
-  const said = h("small", { className: "parsed", role: "status" });
+  const ofRange = [labelled("start", range.start), labelled("stop", range.stop), labelled("number of values", range.num), labelled("spacing", spacing)];
+  const description = h("small", { className: "parsed", role: "status" });
+  const legend = h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis)));
+  const read = () => {
+    const limits = Object.fromEntries(Object.entries(range).map(([name, { value }]) => [name, parseNumber(value)]));
+    if (kind.value === "range") return { ...limits, spacing: spacing.value };
+    if (COMMA.test(values.value)) return values.value.trim(); // the service asks
+    const numbers = values.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
+    return numbers.length === 1 ? numbers[0] : numbers;
+  };
   const show = () => {
     list.hidden = kind.value !== "values";
-    for (const part of parts) part.hidden = kind.value === "values";
-    said.textContent = describeAxis(axis, field.read());
+    for (const element of ofRange) element.hidden = kind.value === "values";
+    description.textContent = describeAxis(axis, read());
   };
-  const field = {
-    element: h("fieldset", { "data-group": axis, oninput: () => show() }, h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis))), labelled("given as", kind), list, parts, said),
-    read: () => {
-      if (kind.value === "range") return { ...Object.fromEntries(Object.entries(range).map(([name, part]) => [name, parseNumber(part.value)])), spacing: spacing.value };
-      if (/\d,\d/.test(values.value)) return values.value.trim(); // a decimal comma, or two values: the service asks
-      const numbers = values.value.split(/[,;\s]+/).filter(Boolean).map(parseNumber);
-      return numbers.length === 1 ? numbers[0] : numbers;
-    },
-    write: (value = []) => {
-      kind.value = typeof value === "number" || Array.isArray(value) ? "values" : "range";
-      if (kind.value === "values") values.value = [value].flat().join(", ");
-      for (const [name, part] of Object.entries(range)) part.value = String(value[name] ?? "");
-      spacing.value = value.spacing ?? "linear";
-      show();
-    },
+  const write = (value = []) => {
+    kind.value = typeof value === "number" || Array.isArray(value) ? "values" : "range";
+    if (kind.value === "values") values.value = [value].flat().join(", ");
+    for (const [name, control] of Object.entries(range)) control.value = String(value[name] ?? "");
+    spacing.value = value.spacing ?? "linear";
+    show();
   };
-  return field;
+  const element = h("fieldset", { "data-group": axis, oninput: show }, legend, labelled("given as", kind), list, ofRange, description);
+  return { element, read, write };
 }
 
 /** What was understood of an axis, where it is several values, and whether some are far above those of studies. */
 function describeAxis(axis, value) {
-  const given = typeof value === "object" && !Array.isArray(value) ? [value.start, value.stop, value.num] : [value].flat();
-  if (!given.length || !given.every(Number.isFinite) || value.num > MOST_VALUES) return "";
+  const typed = typeof value === "object" && !Array.isArray(value) ? [value.start, value.stop, value.num] : [value].flat();
+  if (!typed.length || !typed.every(Number.isFinite) || value.num > MOST_VALUES) return "";
   const values = axisValues(value);
-  const text = values.length > 1 ? `${plural(values.length, "value")}: ${values.slice(0, 3).map((each) => number(each)).join(", ")}${values.length > 3 ? ` … ${number(values.at(-1))}` : ""}` : "";
+  const shown = values.slice(0, 3).map((item) => axisText(item, values)).join(", ") + (values.length > 3 ? ` … ${axisText(values.at(-1), values)}` : "");
+  const text = values.length > 1 && `${plural(values.length, "value")}: ${shown}`;
   return [text, Math.max(...values) > USUAL[axis] && `unusual: studies have ${SYMBOL[axis]} up to ${USUAL[axis]}`].filter(Boolean).join("; ");
 }

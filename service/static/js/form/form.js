@@ -1,25 +1,26 @@
 // The form for a new study of any kind. The service validates it and estimates its cost while it is edited.
 
-import { currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
+import { addressValue, currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
 import { AXES, axisValues } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
-import { kindOf, loadPresets, loadStudies } from "./catalogue.js";
+import { OF_REST, kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
 import { PastedSpecification } from "./pasted.js";
 import { Plan } from "./plan.js";
 import { showInput, showProblems } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
-const INVALID = new Set([413, 422]);
-const CHOSEN = ["effort", "exponents", "modes", "gamma_max"]; // fields that are not folded away
+const INVALID = new Set([413, 422]); // statuses of a specification that is refused
+const ROWS = ["name", ...AXES, "protocol", "refine", "model"]; // fields with a row of their own, in this order
+const CHOSEN = ["effort", "exponents", "modes", "gamma_max"]; // fields below them; the others are folded away
 const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cycle"], basin: ["Starts", "The plane of starts of each cell"], multistability: ["Starts", "Drops that find the attractors of each cell"] };
 
 export class SweepForm {
   edited = new Set(); // names of the fields edited since the form was last filled
-  given = {}; // the specification that it was filled with, if it did not begin anew
+  source = {}; // the specification that it was filled with, if it did not begin anew
 
   constructor(root, address, signal) {
     this.signal = signal;
@@ -47,17 +48,19 @@ export class SweepForm {
 
   #build() {
     const figures = this.presets.map(({ title, sweeps }) => h("optgroup", { label: title }, sweeps.map(({ key, text }) => h("option", { value: key }, text))));
-    this.preset = h("select", { id: "preset", onchange: (event) => { setQuery({ figure: event.target.value || null, from: null }); this.show(); } },
-      h("option", { value: "" }, "default values"), figures);
-    this.kind = h("select", { id: "study", onchange: () => this.#change() }, Object.entries(this.studies).map(([kind, { title }]) => h("option", { value: kind }, title)));
+    const choosePreset = () => {
+      setQuery({ figure: this.preset.value || null, from: null });
+      this.show();
+    };
+    this.preset = h("select", { id: "preset", onchange: choosePreset }, h("option", { value: "" }, "default values"), figures);
+    const kinds = Object.entries(this.studies).map(([kind, { title }]) => h("option", { value: kind }, title));
+    this.kind = h("select", { id: "study", onchange: () => this.#changeKind() }, kinds);
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = new Snippets();
     this.plan = new Plan(() => this.#read(), (spec) => this.#replace(spec), (budget) => this.#submit({ budget }));
-    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: (event) => {
-      event.preventDefault();
-      this.#submit();
-    }, oninput: (event) => this.#onEdit(event), onchange: (event) => this.#onEdit(event) });
+    const submit = (event) => { event.preventDefault(); this.#submit(); };
+    this.form = h("form", { className: "sweep", novalidate: true, onsubmit: submit, oninput: this.#onEdit, onchange: this.#onEdit });
     this.container.replaceChildren(
       h("p", { className: "preset" }, h("label", {}, "Study ", this.kind), h("label", {}, "Start from ", this.preset)),
       this.form,
@@ -65,25 +68,26 @@ export class SweepForm {
   }
 
   /** The fields of a kind of study, those first that are chosen for it; what is recorded is folded away. */
-  #show(kind) {
+  #showKind(kind) {
     if (this.shown === kind) return;
     this.shown = this.kind.value = kind;
     const { fields, parts, models } = this.studies[kind];
+    const protocol = { kind: OF_REST.includes(kind) ? "rest" : kind };
     const make = {
       ...Object.fromEntries(AXES.map((axis) => [axis, () => axisField(axis)])),
-      protocol: () => objectField("protocol", ...(PROTOCOLS[kind] ?? ["Protocol", ""]), parts, { kind: ["map", "exponents"].includes(kind) ? "rest" : kind }),
-      refine: ({ parts: { margin, ...own } }) => objectField("refine", "Cells", "Those inside regions of one mode are filled in", own),
-      model: ({ default: own }) => modelField(models, own),
+      protocol: () => objectField("protocol", ...(PROTOCOLS[kind] ?? ["Protocol", ""]), parts, protocol),
+      refine: ({ parts: { margin, ...shown } }) => objectField("refine", "Cells", "Those inside regions of one mode are filled in", shown),
+      model: (schema) => modelField(models, schema.default),
     };
-    this.fields = Object.fromEntries(Object.entries({ name: 0, gamma: 0, omega: 0, xi: 0, protocol: 0, refine: 0, model: 0, ...fields }).filter(([name]) => name === "protocol" || name in fields)
-      .map(([name]) => [name, (make[name] ?? ((field) => schemaField(name, field)))(fields[name])]));
-    const rows = Object.keys(this.fields).filter((name) => name === "name" || make[name]);
-    const elements = (names) => names.filter((name) => name in this.fields).map((name) => this.fields[name].element);
-    const recorded = Object.keys(this.fields).filter((name) => !rows.includes(name) && !CHOSEN.includes(name));
-    const isSweep = "effort" in fields;
-    this.form.replaceChildren(...elements(rows),
-      h("fieldset", { className: "plain", hidden: !CHOSEN.some((name) => name in this.fields) }, h("legend", {}, kind === "orbits" ? "Cycles" : "Accuracy"), elements(CHOSEN), isSweep && this.plan.element),
-      h("details", {}, h("summary", {}, "Recording ", h("small", {}, recorded.map((name) => name.replaceAll("_", " ")).join(", "))), h("fieldset", { className: "plain" }, elements(recorded))),
+    const names = new Set([...ROWS.filter((name) => name === "protocol" || name in fields), ...Object.keys(fields)]);
+    this.fields = Object.fromEntries(Array.from(names, (name) => [name, make[name]?.(fields[name]) ?? schemaField(name, fields[name])]));
+    const elements = (group) => group.filter((name) => name in this.fields).map((name) => this.fields[name].element);
+    const recorded = Object.keys(this.fields).filter((name) => ![...ROWS, ...CHOSEN].includes(name));
+    const listed = h("small", {}, recorded.map((name) => name.replaceAll("_", " ")).join(", "));
+    this.form.replaceChildren(...elements(ROWS),
+      h("fieldset", { className: "plain", hidden: !CHOSEN.some((name) => name in this.fields) },
+        h("legend", {}, kind === "orbits" ? "Cycles" : "Accuracy"), elements(CHOSEN), "effort" in this.fields && this.plan.element),
+      h("details", {}, h("summary", {}, "Recording ", listed), h("fieldset", { className: "plain" }, elements(recorded))),
       this.problem.element,
       h("div", { className: "submit" }, this.button, this.cost));
   }
@@ -102,16 +106,21 @@ export class SweepForm {
         this.#fill(this.studies.rest.begin);
       }
       let missing = null; // the form has the default values then
-      const job = from && (await requestJson(`/v1/jobs/${from}`).catch((error) => { if ((missing = error).status !== 404) throw error; }));
+      const job = from && (await requestJson(`/v1/jobs/${from}`).catch((error) => {
+        if (error.status !== 404) throw error;
+        missing = error;
+      }));
       if (isOutdated()) return;
       const preset = this.presets.flatMap(({ sweeps }) => sweeps).find(({ key }) => key === figure);
       if (figure && !preset) missing = new Error(`There is no sweep of a figure ${figure}.`);
       this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
-      const given = (job || preset)?.spec;
-      const axes = axesOf(currentQuery(), given);
-      this.given = job && Object.keys(axes).length ? { ...given, ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from } : (given ?? {});
-      this.#fill(given ? this.given : { ...this.studies.rest.begin, ...axes, ...(axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } }) });
+      const spec = (job || preset)?.spec;
+      const axes = axesOf(currentQuery(), spec);
+      const window = job && Object.keys(axes).length > 0 && { ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from };
+      this.source = { ...spec, ...window };
+      const contact = axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } };
+      this.#fill(spec ? this.source : { ...this.studies.rest.begin, ...axes, ...contact });
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
       if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
@@ -125,37 +134,37 @@ export class SweepForm {
   #fill(spec, kind = this.edited.has("protocol") ? this.shown : kindOf(spec), isKept = (name) => this.edited.has(name)) {
     const { fields: before = {} } = this;
     const kept = this.fields ? this.#read() : {};
-    this.#show(kind);
+    this.#showKind(kind);
     for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) && name in before ? kept : spec)[name]);
     this.#onChange();
   }
 
-  /** Another kind of study begins with its own fields; what was edited or given stays. */
-  #change() {
-    const isKept = (name) => !["protocol", "refine", "exponents"].includes(name) && (this.edited.has(name) || name in this.given);
+  /** Another kind of study begins with its own fields; what was edited, or came with a job or figure, stays. */
+  #changeKind() {
+    const isKept = (name) => !["protocol", "refine", "exponents"].includes(name) && (this.edited.has(name) || name in this.source);
     this.#fill(this.studies[this.kind.value].begin, this.kind.value, isKept);
     this.edited.add("protocol");
   }
 
-  /** Take a specification as it is. */
   #replace(spec) {
     this.edited.clear();
-    this.given = spec;
+    this.source = spec;
     this.#fill(spec);
     this.button.focus();
   }
 
-  #onEdit({ target }) {
-    const name = Object.keys(this.fields).find((each) => this.fields[each].element.contains(target));
+  #onEdit = ({ target }) => {
+    const [name] = Object.entries(this.fields).find(([, { element }]) => element.contains(target)) ?? [];
     if (!name) return; // the time that is planned for
     this.edited.add(name);
     this.#onChange();
-  }
+  };
 
   /** The specification; fields with their defaults are left out. */
   #read() {
-    const { parent = null } = this.given;
-    return Object.fromEntries([...Object.entries(this.fields).map(([name, field]) => [name, field.read()]), ["parent", "effort" in this.fields ? parent : null]].filter(([, value]) => value !== null));
+    const parent = "effort" in this.fields ? (this.source.parent ?? null) : null; // which only sweeps have
+    const values = [...Object.entries(this.fields).map(([name, field]) => [name, field.read()]), ["parent", parent]];
+    return Object.fromEntries(values.filter(([, value]) => value !== null));
   }
 
   #onChange() {
@@ -180,18 +189,17 @@ export class SweepForm {
 
   #showError(error) {
     if (error.name === "AbortError") return;
-    if (this.form) {
-      this.cost.textContent = error.name === "Unreachable" ? "The cost is estimated once the service answers again." : error.errors?.length ? "The specification is not valid: see the marked fields." : "";
-    }
+    const invalid = error.errors?.length ? "The specification is not valid: see the marked fields." : "";
+    if (this.form) this.cost.textContent = error.name === "Unreachable" ? "The cost is estimated once the service answers again." : invalid;
     if (isHandledElsewhere(error)) return;
     showProblems(this.form ?? this.container, this.problem, error);
     if (this.form) this.button.disabled = !this.isLoaded || INVALID.has(error.status);
   }
 
-  async #submit(within = {}) {
+  async #submit(parameters = {}) {
     this.button.disabled = true;
     try {
-      const job = await requestJson(`/v1/jobs?${query(within)}`, { method: "POST", body: this.#read() });
+      const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body: this.#read() });
       announce("Submitted.");
       if (this.signal.aborted) return;
       replace(["new"], { from: job.id }); // the browser's back button returns to what was submitted
@@ -205,13 +213,18 @@ export class SweepForm {
   }
 }
 
-/** The axes that an address gives, by values or by the ends of a window on `spec`, of as many values and with rounded limits. */
+/** The axes that an address has, as values or as windows on those of `spec`. */
 function axesOf(query, spec) {
-  return Object.fromEntries(AXES.map((axis) => [axis, (query[axis] ?? "").split(",").map((text) => Number(text || NaN))]).filter(([, values]) => values.every(Number.isFinite)).map(([axis, [low, high]]) => {
-    const all = spec && axisValues(spec[axis]);
-    if (!all || high === undefined || !(high > low)) return [axis, low];
-    const step = 10 ** Math.floor(Math.log10(high - low) - 2);
-    const [start, stop] = [Math.max(all[0], Math.floor(low / step) * step), Math.min(all.at(-1), Math.ceil(high / step) * step)].map((value) => Number(value.toPrecision(10)));
-    return [axis, { start, stop, num: all.length, spacing: spec[axis].spacing ?? "linear" }];
-  }));
+  const limits = AXES.map((axis) => [axis, (query[axis] ?? "").split(",").map((text) => Number(text || NaN))]);
+  return Object.fromEntries(limits.filter(([, values]) => values.every(Number.isFinite))
+    .map(([axis, [low, high]]) => [axis, spec && high > low ? windowOn(spec[axis], low, high) : low]));
+}
+
+/** A window on an axis of a specification: of as many values, with rounded limits. */
+function windowOn(axis, low, high) {
+  const values = axisValues(axis);
+  const step = 10 ** Math.floor(Math.log10(high - low) - 2);
+  const start = Math.max(values[0], Math.floor(low / step) * step);
+  const stop = Math.min(values.at(-1), Math.ceil(high / step) * step);
+  return { start: addressValue(start), stop: addressValue(stop), num: values.length, spacing: axis.spacing ?? "linear" };
 }

@@ -12,11 +12,9 @@ export const dropped = { file: null };
 /** A text area for a specification of any study; `taken(spec)` is called with one that the service accepts. */
 export class PastedSpecification {
   constructor(taken) {
-    this.text = h("textarea", {
-      rows: 12, spellcheck: "false", "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: () => this.take(),
-    });
-    this.problem = problemLine();
     this.take = debounced(DELAY_MS, () => this.#take(taken));
+    this.text = h("textarea", { rows: 12, spellcheck: "false", "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
+    this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
       h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it. A file can be dropped anywhere on the page, also a sweep that was shared."),
       this.text, this.problem.element);
@@ -41,7 +39,7 @@ export class PastedSpecification {
     this.problem.show(null);
     if (!this.text.value.trim()) return;
     try {
-      const spec = parsed(this.text.value);
+      const spec = parseJson(this.text.value);
       await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
       taken(spec);
     } catch (error) {
@@ -50,7 +48,7 @@ export class PastedSpecification {
   }
 }
 
-function parsed(text) {
+function parseJson(text) {
   try {
     return JSON.parse(text);
   } catch (error) {

@@ -2,7 +2,7 @@
 // or its levels, as fine as fit into the time.
 
 import { partsOf, query, requestDataset } from "../lib/api.js";
-import { announce, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, button, h, problemLine, workButton } from "../lib/dom.js";
 import { bytes, count, duration, share } from "../lib/format.js";
 import { table } from "../lib/table.js";
 
@@ -16,28 +16,29 @@ function seconds(text) {
   return value * SECONDS[unit];
 }
 
-/** Compares settings of the sweep that `read()` returns; `use(spec)` takes one of them, `compute(seconds)` its levels. */
+/** Compares settings of the sweep that `read()` returns. `use(spec)` takes one of them; `compute(seconds)` submits its levels. */
 export class Plan {
   constructor(read, use, compute) {
     [this.read, this.use] = [read, use];
-    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", onkeydown: (event) => {
+    const compareOnEnter = (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault(); // the form is not submitted
       compare.click();
-    } });
+    };
+    this.budget = h("input", { type: "text", size: "6", placeholder: "5m", onkeydown: compareOnEnter });
     this.problem = problemLine();
     const compare = workButton("Compare settings", () => this.#compare(), this.problem.show, { busy: "Comparing …" });
-    const within = workButton("Compute within it", () => {
+    const computeWithin = () => {
       this.problem.show(null);
       return compute(seconds(this.budget.value || this.budget.placeholder));
-    }, this.problem.show);
+    };
+    const within = workButton("Compute within it", computeWithin, this.problem.show);
     this.table = h("div", { hidden: true });
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
       h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), compare, within), this.problem.element, this.table);
   }
 
-  /** Drop a table that was of another specification. */
   clear() {
     this.comparing?.abort();
     this.table.hidden = true;
@@ -57,10 +58,10 @@ export class Plan {
   }
 
   #rows(rows) {
+    const useButton = ({ effort, grid, spec }) => button("Use", () => this.use(JSON.parse(spec)), { "aria-label": `Use ${effort}, ${grid}` });
     return table("Settings", ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""], rows.map((row) => [
       h("span", {}, row.effort, Boolean(row.recommended) && h("small", {}, " recommended")),
-      row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)),
-      h("button", { type: "button", className: "quiet", "aria-label": `Use ${row.effort}, ${row.grid}`, onclick: () => this.use(JSON.parse(row.spec)) }, "Use"),
+      row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)), useButton(row),
     ]), (i) => (rows[i].recommended ? "recommended" : undefined));
   }
 }

@@ -2,17 +2,19 @@
 
 import { h } from "../lib/dom.js";
 import { AXES } from "../lib/physics.js";
+import { COMMA } from "./fields.js";
 
 /** Show the errors of a problem at their fields, and those without a visible field in the problem line `general`; null clears them. */
 export function showProblems(form, general, problem) {
   clear(form);
-  const other = [];
+  const others = [];
   for (const error of problem?.errors ?? []) {
     const input = inputOf(form, error.field);
     if (input) mark(input, inWords(error, input));
-    else other.push(error.field ? `${error.field}: ${error.rule}` : error.rule);
+    else others.push(error.field ? `${error.field}: ${error.rule}` : error.rule);
   }
-  general.show(other.length ? new Error(other.join("; ")) : problem?.errors?.length ? null : problem);
+  const withoutErrors = problem?.errors?.length ? null : problem;
+  general.show(others.length ? new Error(others.join("; ")) : withoutErrors);
 }
 
 function clear(form) {
@@ -23,7 +25,7 @@ function clear(form) {
   form.querySelectorAll(".error").forEach((element) => element.remove());
 }
 
-/** The visible input of "model.restitution", or the nearest one above: "gamma[3]" is shown at gamma. */
+/** The visible input of a field such as "model.restitution", or of what holds it: "gamma[3]" is shown at gamma. */
 function inputOf(form, field) {
   for (let parts = field.split(/[.[\]]+/); parts.length; parts.pop()) {
     const name = CSS.escape(parts.join("."));
@@ -39,9 +41,9 @@ function inWords({ rule, code }, input) {
   const text = input.value?.trim() ?? "";
   if (code !== "type" && code !== "missing") return rule;
   if (text === "") return "is empty: type a number";
-  const [pair] = text.match(/\d+,\d+/) ?? [];
+  const [pair] = text.match(COMMA) ?? [];
   if (pair && AXES.includes(input.dataset.field)) return `write ${pair.replace(",", ".")}, or ${pair.replace(",", ", ")} for two values`;
-  if (/^[-−+]?\d+,\d+$/.test(text)) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
+  if (/^[-−+]?\d+,\d+$/.test(text) && !rule.includes("whole number")) return `write a decimal point, not a comma: ${text.replace(",", ".")}`;
   return rule;
 }
 

@@ -2,6 +2,7 @@
 
 import { query as encode } from "./api.js";
 import { debounced } from "./dom.js";
+import { AXES } from "./physics.js";
 
 const WINDOW = ["x0", "x1", "y0", "y1"];
 
@@ -34,7 +35,7 @@ export function setQuery(changes, isStep = false) {
     history.pushState(null, "", location.href);
   }
   pending ??= currentAddress();
-  const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => value !== null && value !== undefined);
+  const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => (value ?? null) !== null);
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
   write();
   queryChanges.dispatchEvent(new Event("change"));
@@ -65,8 +66,14 @@ export const windowQuery = (window) => Object.fromEntries(WINDOW.map((name) => [
 
 /** A selected cell as query parameters, with its axis values for the sliders. */
 export function cellQuery({ direction, ...cell }) {
-  const [gamma, omega, xi] = ["gamma", "omega", "xi"].map((axis) => addressValue(cell[axis]));
+  const [gamma, omega, xi] = AXES.map((axis) => addressValue(cell[axis]));
   return { gamma, omega, xi, cell: [gamma, omega, xi, direction].join() };
+}
+
+/** The selected cell, or start, in a query; null without a valid one. */
+export function cellIn({ cell = "" }) {
+  const [gamma, omega, xi, direction] = cell.split(",").map((text, i) => (i < 3 ? Number(text) : text));
+  return direction !== undefined && [gamma, omega, xi].every(Number.isFinite) ? { gamma, omega, xi, direction } : null;
 }
 
 /** An axis value as addresses hold it: ten significant digits. */

@@ -1,15 +1,16 @@
 // Requests to the service, and their errors.
 
-/** Dispatches "unreachable" when a request gets no answer, "waiting" with the number of requests that the busy service told to come again, and "unauthorized" when the service requires a token, whose `detail.refused` tells that it refused the one it got. */
+import { AXES } from "./physics.js";
+
+// Dispatches "unreachable" when a request gets no answer, "waiting" with the number of `detail.requests` that a busy
+// service put off, and "unauthorized" when the service requires a token; `detail.refused`: not the one that it got.
 export const connection = new EventTarget();
 
 /** What a file holds that was shared: {job, answers, note, about}; null where there is a service. */
 export const shared = JSON.parse(document.getElementById("shared")?.textContent ?? "null");
-
 const TIMEOUT_MS = 30_000;
 const DOWNLOAD_TIMEOUT_MS = 600_000;
 const TOKEN_KEY = "bounce-token";
-
 export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token.replace(/[^!-~]/g, "?")); // headers hold no others
 
 /** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */
@@ -21,9 +22,10 @@ export function takeToken() {
 }
 
 const RETRY_S = 1; // without a Retry-After
-let waiting = 0;
+let waiting = 0; // requests
 
-/** The response to one request. While the service is too busy (429) for a GET, or for what `waits`, it is repeated until `timeout`. Throws a problem (see problemOf), Unreachable, or an AbortError if `signal` aborts. */
+// The response to one request. While the service is too busy (429) for a GET, or for what `waits`, it is repeated until
+// `timeout`. Throws a problem (see problemOf), Unreachable, or an AbortError if `signal` aborts.
 export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } = {}) {
   const deadline = performance.now() + timeout;
   for (;;) {
@@ -36,13 +38,15 @@ export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } 
   }
 }
 
-/** The answer of a shared file: that at the nearest values. */
+/** The answer in a shared file that is nearest to the requested values. */
 function sharedAnswer(path) {
   const { pathname, searchParams } = new URL(path, "file:///");
   const [, , , id, name] = pathname.split("/");
   if (id === shared.job.id && !name) return Response.json(shared.job);
-  const away = (answer) => ["gamma", "omega", "xi"].reduce((sum, axis) => sum + Math.abs((answer[axis] ?? 0) - (axis in answer ? Number(searchParams.get(axis)) : 0)), 0);
-  const [nearest] = (shared.answers[name] ?? []).filter(({ direction }) => !direction || direction === searchParams.get("direction")).sort((a, b) => away(a) - away(b));
+  const away = (answer, axis) => (axis in answer ? Math.abs(answer[axis] - Number(searchParams.get(axis))) : 0);
+  const distance = (answer) => AXES.reduce((sum, axis) => sum + away(answer, axis), 0);
+  const isAsked = ({ direction }) => !direction || direction === searchParams.get("direction");
+  const [nearest] = (shared.answers[name] ?? []).filter(isAsked).sort((a, b) => distance(a) - distance(b));
   if (!nearest) return Response.json({ detail: "A shared file does not hold this: open the sweep in a service." }, { status: 404 });
   const bytes = Uint8Array.from(atob(nearest.data), (character) => character.charCodeAt(0));
   return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")));
@@ -61,7 +65,8 @@ async function send(path, { method = "GET", body, signal }, timeout) {
     body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
   }), signal);
-  if (response.status === 401) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null && token === sessionStorage.getItem(TOKEN_KEY) } }));
+  const refused = token !== null && token === sessionStorage.getItem(TOKEN_KEY); // not replaced meanwhile
+  if (response.status === 401) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused } }));
   return response;
 }
 
@@ -103,11 +108,9 @@ const ARRAY_TYPES = {
   float64: Float64Array, float32: Float32Array, int64: BigInt64Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };
 
-/**
- * A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
+/** A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
  * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list. What workers
- * compute first is waited for.
- */
+ * compute first is waited for. */
 export async function requestDataset(path, options) {
   const response = await whenComputed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options);
   const buffer = await answered(response.arrayBuffer(), options?.signal);
@@ -121,15 +124,13 @@ export async function requestDataset(path, options) {
   return result;
 }
 
-/**
- * The parts of a result along a dimension, one object per index: of each variable that begins with it the value, or the
- * part of a flat array. A result without this dimension has one part, all of it.
- */
+/** The parts of a result along a dimension, one object per index: of each variable that begins with it the value, or the
+ * part of a flat array. A result without this dimension has one part, all of it. */
 export function partsOf({ attrs, dims, ...variables }, dim) {
   if (!(dim in dims)) return [Object.fromEntries(Object.entries(variables).map(([name, { data }]) => [name, data]))];
-  const own = Object.entries(variables).filter(([, variable]) => variable.dims[0] === dim);
+  const divided = Object.entries(variables).filter(([, variable]) => variable.dims[0] === dim);
   const part = ({ data, shape = [] }, i) => (shape.length > 1 ? data.subarray((i * data.length) / dims[dim], ((i + 1) * data.length) / dims[dim]) : data[i]);
-  return Array.from({ length: dims[dim] }, (_, i) => Object.fromEntries(own.map(([name, variable]) => [name, part(variable, i)])));
+  return Array.from({ length: dims[dim] }, (_, i) => Object.fromEntries(divided.map(([name, variable]) => [name, part(variable, i)])));
 }
 
 export const requestBlob = async (path, options) => answered((await whenComputed(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS })).blob());

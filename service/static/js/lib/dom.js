@@ -18,8 +18,9 @@ export function h(tag, props = {}, ...children) {
 }
 
 /** A choice among `options`, [[value, text], …], with a label. */
-export const choice = (label, options, value, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
-  h("select", { onchange: (event) => onChange(event.target.value), ...attributes }, options.map(([key, text]) => h("option", { value: key, selected: key === value }, text))));
+export const choice = (label, options, selected, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
+  h("select", { onchange: (event) => onChange(event.target.value), ...attributes },
+    options.map(([value, text]) => h("option", { value, selected: value === selected }, text))));
 
 /** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
 export function problemLine() {
@@ -32,6 +33,8 @@ export function problemLine() {
   const showInView = (error) => { show(error); element.scrollIntoView({ block: "nearest" }); };
   return { element, show, showInView };
 }
+
+export const button = (title, onclick, attributes) => h("button", { type: "button", className: "quiet", onclick, ...attributes }, title);
 
 /** A button that cannot be pressed again until `work()` ends, which `busy` says; `failed(error)` tells why it did not. */
 export function workButton(title, work, failed, { busy, ...props } = {}) {
@@ -51,20 +54,19 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
   return button;
 }
 
-const SAID_MS = 1500;
+const COPIED_MS = 1500;
 
 /** A button that copies what `text()` returns, and says so. */
 export const copyButton = (text) => h("button", {
   type: "button", className: "quiet",
   onclick: async ({ currentTarget: button }) => {
-    const content = text(); // also where nothing can be copied: it may be selected
+    const content = text(); // also without a clipboard: it may select the text
     button.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";
     announce(`${button.textContent}.`);
-    setTimeout(() => { button.textContent = "Copy"; }, SAID_MS);
+    setTimeout(() => { button.textContent = "Copy"; }, COPIED_MS);
   },
 }, "Copy");
 
-/** Announce `text` to screen readers. */
 export function announce(text) {
   document.getElementById("status").textContent = text;
 }
@@ -80,19 +82,14 @@ export function debounced(milliseconds, work) {
 
 const ABORT_AFTER_MS = 150;
 
-/**
- * `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
- * the run ends, and the run is aborted through its signal if it takes ABORT_AFTER_MS longer.
- */
+/** `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
+ * the run ends, and the run is aborted through its signal if it takes ABORT_AFTER_MS longer. */
 export function latest(work) {
   let running = null; // the controller of the current run
   let next = null;
   return async (...args) => {
     next = args;
-    if (running) {
-      setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
-      return;
-    }
+    if (running) return setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
     while (next) {
       const current = next;
       next = null;

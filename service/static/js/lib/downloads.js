@@ -19,10 +19,8 @@ export function downloads(files) {
 export const resultFiles = (job, content, formats, path, options) => formats.map(([label, format]) =>
   [label, () => fileName(job, content(), format), () => requestBlob(`${path()}&format=${format}`, options)]);
 
-/** The whole sweep as a file. */
 export const wholeSweep = (job, formats) => resultFiles(job, () => "sweep", formats, () => `/v1/jobs/${job.id}/export?`);
 
-/** "figure 2" → "figure-2-diagram.png". */
 export function fileName(job, content, extension) {
   const name = job.name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").slice(0, 80).replace(/^-|-$/g, "");
   return `${name || job.id.slice(0, 8)}-${content}.${extension}`;

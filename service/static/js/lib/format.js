@@ -8,32 +8,33 @@ export function number(value, digits = 5) {
   if (!Number.isFinite(value)) return "–";
   const text = String(Number(value.toPrecision(digits)));
   const [mantissa, exponent] = text.split("e");
-  const power = exponent && `10${translated(String(Number(exponent)), DIGITS, RAISED)}`;
-  return (power ? (mantissa === "1" ? power : `${mantissa}·${power}`) : mantissa).replaceAll("-", "−");
+  const factor = mantissa === "1" ? "" : `${mantissa}·`;
+  const decimal = exponent ? `${factor}10${translated(String(Number(exponent)), DIGITS, RAISED)}` : mantissa;
+  return decimal.replaceAll("-", "−");
 }
 
-/** The text of numbers as programs read it: 2.38·10⁻⁷ is 2.38e-7, what is missing is nothing. */
-export const plain = (text) => text.replace(/^–$/, "").replaceAll("−", "-").replace(/(·?)10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)/g, (_, times, power) => `${times ? "" : "1"}e${translated(power, RAISED, DIGITS)}`);
+/** The number that a decimal text stands for; NaN of any other, such as 0x10. */
+export const numberIn = (text) => (/^[-+]?[\d.]+(e[-+]?\d+)?$/i.test(text) ? Number(text) : NaN);
 
-/** A part of 1 in percent. */
-export const share = (part, digits = 3) => (Number.isNaN(part) ? "–" : `${number(100 * part, digits)} %`);
+/** A text of numbers as programs read them: 2.38·10⁻⁷ becomes 2.38e-7, and "–" is left out. */
+export const plain = (text) => text.replace(/^–$/, "").replaceAll("−", "-")
+  .replace(/(·?)10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)/g, (_, times, power) => `${times ? "" : "1"}e${translated(power, RAISED, DIGITS)}`);
 
+export const share = (fraction, digits = 3) => (Number.isNaN(fraction) ? "–" : `${number(100 * fraction, digits)} %`);
 export const count = (value) => String(value).replace(/\B(?=(\d{3})+$)/g, ","); // toLocaleString takes 20 ms the first time
-
-export const plural = (n, singular, many = `${singular}s`) => `${count(n)} ${n === 1 ? singular : many}`;
+export const plural = (n, singular) => `${count(n)} ${singular}${n === 1 ? "" : "s"}`;
 
 export function bytes(value) {
   const units = ["bytes", "kB", "MB", "GB", "TB"];
-  const step = Math.min(Math.floor(Math.log10(Math.max(value, 1)) / 3), units.length - 1);
-  return `${number(value / 1000 ** step, 3)} ${units[step]}`;
+  const thousands = Math.min(Math.floor(Math.log10(Math.max(value, 1)) / 3), units.length - 1);
+  return `${number(value / 1000 ** thousands, 3)} ${units[thousands]}`;
 }
 
-/** A duration in seconds. */
-export function duration(value) {
-  if (value < 0.1) return "less than 0.1 s";
-  if (value < 90) return `${number(value, 2)} s`;
-  if (value < 5400) return `${Math.round(value / 60)} min`;
-  return `${number(value / 3600, 2)} h`;
+export function duration(seconds) {
+  if (seconds < 0.1) return "less than 0.1 s";
+  if (seconds < 90) return `${number(seconds, 2)} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  return `${number(seconds / 3600, 2)} h`;
 }
 
 /** How long ago a time was; after 36 h, its date. */
@@ -47,13 +48,14 @@ export function ago(time) {
 /** A time of the service in the reader's time zone, to the second. */
 export const time = (text) => new Date(text).toLocaleString("en-GB", { dateStyle: "medium", timeStyle: "medium" });
 
-/** What a study would cost: "551 cells in 3 chunks · about 1 s on 2 workers · up to 585 kB", of the service's estimate. */
+/** The service's estimate of a study's cost: "551 cells in 3 chunks · about 1 s on 2 workers · up to 585 kB". */
 export function costText(cost) {
-  const atOnce = Math.max(Math.min(cost.workers, cost.chunks), 1);
+  const elapsed = (coreSeconds) => duration(Math.max(coreSeconds / Math.max(Math.min(cost.workers, cost.chunks), 1), 1));
   const where = cost.workers ? plural(cost.workers, "worker") : "one core";
   const first = cost.basis === "measured" ? "" : ", once its kernel is compiled";
-  const [least, most] = cost.computed_cells ?? [];
+  const [least, most] = cost.computed_cells ?? []; // of an adaptive map
   const computed = most === undefined ? "" : `, about ${count(least)} to ${count(most)} of them computed,`;
-  const seconds = most === undefined ? "" : `${duration(Math.max(cost.least_core_seconds / atOnce, 1))} to `;
-  return `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")} · about ${seconds}${duration(Math.max(cost.core_seconds / atOnce, 1))} on ${where}${first} · up to ${bytes(cost.bytes)}`;
+  const time = most === undefined ? elapsed(cost.core_seconds) : `${elapsed(cost.least_core_seconds)} to ${elapsed(cost.core_seconds)}`;
+  const cells = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")}`;
+  return `${cells} · about ${time} on ${where}${first} · up to ${bytes(cost.bytes)}`;
 }

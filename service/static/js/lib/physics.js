@@ -4,28 +4,21 @@ import { number } from "./format.js";
 
 /** The axes in the order they are shown. */
 export const AXES = ["gamma", "omega", "xi"];
-
 export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
-
 const NAME = { gamma: "plate acceleration", omega: "plate frequency", xi: "damping" };
 const DEFINITION = { gamma: "Aω²/g", omega: "ω/ω₀", xi: "β/(2mω₀)" };
-
 /** "plate acceleration, Aω²/g" */
 export const meaningOf = (axis) => `${NAME[axis]}, ${DEFINITION[axis]}`;
-
-const OVER = { gamma: " over gravity", omega: " over that of the spring", xi: " ratio" };
-
+const RELATIVE = { gamma: " over gravity", omega: " over that of the spring", xi: " ratio" };
 /** "plate acceleration over gravity Γ": an axis of a plot, as in the files of the service. */
-export const axisLabel = (axis) => `${NAME[axis]}${OVER[axis]} ${SYMBOL[axis]}`;
+export const axisLabel = (axis) => `${NAME[axis]}${RELATIVE[axis]} ${SYMBOL[axis]}`;
 
 export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 
 /** Codes of kernel.params.Outcome. */
 export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5, settling: 6 };
-
 /** Codes of kernel.labels beyond those of outcomes: cells told apart by their Lyapunov exponents. */
 export const LABEL = { quasiPeriodic: 7, chaotic: 8, unstable: 9 };
-
 /** Codes of service.views.modes.Hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
 
@@ -51,7 +44,18 @@ export function axisValues(axis) {
   });
 }
 
-export const isLog = (axis) => axis?.spacing === "log";
+const digitsOf = new WeakMap(); // by the list of an axis
+
+/** A value of an axis in as many digits as tell neighbours among its `values` apart: five where they do. */
+export function axisText(value, values) {
+  const power = (x) => Math.floor(Math.log10(Math.abs(x)));
+  const needed = (most, next, i) => Math.max(most, 1 + power(next) - power(next - values[i - 1]) || 0);
+  if (!digitsOf.has(values)) digitsOf.set(values, Math.min(values.reduce(needed, 5), 12));
+  return number(value, digitsOf.get(values));
+}
+
+/** A column of a table with values of an axis; in files they are not rounded. */
+export const axisColumn = (title, values, valueOf) => [title, (item, whole) => (whole ? String(valueOf(item)) : axisText(valueOf(item), values))];
 
 /** The index of the value nearest to `target`; `values` increase. */
 export function nearestIndex(values, target) {
@@ -72,12 +76,8 @@ export function initialValue(values, text) {
 
 /** Whether two values are equal up to the rounding of their decimal form. */
 export const isClose = (a, b) => Math.abs(a - b) <= 1e-8 * Math.max(Math.abs(a), Math.abs(b));
-
 export const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-
-/** `index` limited to an array of `length`. */
 export const clampIndex = (index, length) => clamp(index, 0, length - 1);
-
 /** Whether a specification is of a sweep; other studies have no diagrams. */
 export const isSweep = ({ protocol }) => protocol.kind === "rest" || protocol.kind === "ramp";
 
@@ -90,49 +90,48 @@ export function directionsOf({ protocol }) {
 /** Names of outcomes and labels by their code, as in `kernel.labels`. */
 export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unresolved", "diverged", "settling", "quasi-periodic", "chaotic", "unstable"];
 const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate", "unresolved", "diverged", "still settling", "quasi-periodic", "chaotic", "unstable cycle"];
-
-/** A cell's outcome or label as text. */
 export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
-
-/** The outcome or mode of one of some cells as text. */
 export const modeText = ({ outcome, label = outcome, bounces, periods }, cell) => outcomeText(label[cell], bounces[cell], periods[cell]);
-
 /** A sentence or a mode of the service, "fold (1,2) at Gamma = 0.9", in the page's spelling. */
 export const inSymbols = (text) => text.replace(/(?<=\(\d+),(?=\d)/g, ", ").replaceAll("Gamma", SYMBOL.gamma).replace(/\bxi\b/g, SYMBOL.xi);
-
-/** "0.496 ± 0.05": the largest Lyapunov exponent with its standard error, where there is one. */
+/** "0.496 ± 0.05": the largest Lyapunov exponent, with its standard error where it has one. */
 export const exponentText = (exponent, error) => `${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
-
-/** The largest Lyapunov exponent of one of some cells. */
+/** The largest Lyapunov exponent of a cell of a result: the first of as many as each cell has. */
 export const exponentOf = ({ lyapunov, lyapunov_error: errors }, cell) => lyapunov[(cell * lyapunov.length) / errors.length];
 
-/** What is said of a cell of a sweep, as columns of a table: of the variables there are; `of(cell)` gives those of a cell and its index. */
-export function cellColumns({ lyapunov, multiplier, computed }, of) {
-  const column = (title, read) => [title, (cell) => read(...of(cell))];
-  return [
-    column("mode", modeText),
-    ...(lyapunov ? [column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))] : []),
-    ...(multiplier ? [column("|μ|", ({ multiplier: moduli }, i) => number(moduli[i], 3)), column("flight error ≤ (rad)", ({ flight_error: errors }, i) => number(errors[i], 1))] : []),
-    ...(computed ? [column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : cells.computed[i] ? "computed" : "taken from its block"))] : []),
-  ];
+/** A bound in one digit, rounded up: 1.07e-12 is not below 10⁻¹². */
+function boundText(bound) {
+  const nearest = Number(bound.toPrecision(1));
+  return number(nearest < bound ? nearest + 10 ** Math.floor(Math.log10(nearest)) : nearest, 1);
 }
 
-/** Whether the cells of a sweep end once their cycles are certified. */
+/** What a table says of the cells of a sweep, as columns. `locate(cell)`: the variables that hold a cell, and its index in them. */
+export function cellColumns({ lyapunov, multiplier, computed }, locate) {
+  const column = (title, text) => [title, (cell) => text(...locate(cell))];
+  const origin = (cells, i) => (cells.computed[i] ? "computed" : "taken from its block");
+  return [
+    column("mode", modeText),
+    lyapunov && column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i])),
+    multiplier && column("|μ|", (cells, i) => number(cells.multiplier[i], 3)),
+    multiplier && column("flight error ≤ (rad)", (cells, i) => boundText(cells.flight_error[i])),
+    computed && column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : origin(cells, i))),
+  ].filter(Boolean);
+}
+
+/** Whether a sweep stops each cell as soon as its cycle is certified. */
 export const certifies = ({ settle, exponents, model }) => settle === "auto" && !exponents && model.kind !== "stepped";
-
-const NUMBERS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
-
+const START_FIELDS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 /** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time), with a drop, in contact, on an attractor. */
 export const startName = (kind, ...values) => [kind, ...values.map((value) => Number(value.toPrecision(12)))].join(":");
 
 /** The start of such a name, as trajectories take it; null for a direction. */
 export function startOf(name) {
   const [kind, ...values] = name.split(":");
-  const fields = NUMBERS[kind];
-  return fields && values.length === fields.length ? { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])) } : null;
+  const fields = START_FIELDS[kind];
+  return values.length === fields?.length ? { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])) } : null;
 }
 
-/** Contact models whose cells move as a spring: the closed form is that of `rigid` without restitution. */
+/** Whether cycles of a spring can be drawn over a sweep. Those in closed form are of `rigid` without restitution. */
 export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spec.model.kind);
 
 /** The contact whose cycles are followed, as a query has it; empty: those of an ideal plate, in closed form. */
@@ -145,6 +144,6 @@ export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model ?? 
 
 /** "cycle (1, 1), unstable · flight time 3.9 rad · multipliers 2.1, 0.3"; `multipliers`: real and imaginary part of two. */
 export function cycleText({ bounces, periods, stable, flight_time: time, multipliers: [re, im, otherRe] }) {
-  const text = im ? `${number(re, 4)} ± ${number(Math.abs(im), 4)} i` : `${number(re, 4)}, ${number(otherRe, 4)}`;
-  return `cycle (${bounces}, ${periods}), ${stable ? "stable" : "unstable"} · flight time ${number(time, 5)} rad · multipliers ${text}`;
+  const pair = im ? `${number(re, 4)} ± ${number(Math.abs(im), 4)} i` : `${number(re, 4)}, ${number(otherRe, 4)}`;
+  return `cycle (${bounces}, ${periods}), ${stable ? "stable" : "unstable"} · flight time ${number(time, 5)} rad · multipliers ${pair}`;
 }

@@ -12,18 +12,20 @@ const python = (spec) => JSON.stringify(spec, null, 4).replace(/\b(null|true|fal
 function toml(value) {
   if (Array.isArray(value)) return `[${value.map(toml).join(", ")}]`;
   if (value === null || typeof value !== "object") return typeof value === "string" ? JSON.stringify(value) : String(value);
-  return `{ ${Object.entries(value).filter(([, item]) => item !== null).map(([name, item]) => `${name} = ${toml(item)}`).join(", ")} }`;
+  return `{ ${assignments(value).join(", ")} }`;
 }
 
-/** How Python draws a study, at the last value of each axis that is not drawn; nothing of a kind of an extension. */
+const assignments = (fields) => Object.entries(fields).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`);
+
+/** How Python draws a study, at the last value of each axis that is not drawn; empty for a kind of an extension. */
 function drawing(spec) {
   const { kind } = spec.protocol;
   const long = AXES.filter((axis) => (spec[axis]?.num ?? spec[axis]?.length) > 1);
   const drawn = { basin: [], orbits: [], multistability: ["gamma", "omega"] }[kind] ?? long.slice(0, long[1] === "omega" ? 2 : 1);
-  const at = long.filter((axis) => !drawn.includes(axis)).map((axis) => `${axis}=${[spec[axis].stop ?? spec[axis]].flat().at(-1)}`);
-  if (isSweep(spec) || kind === "orbits") return `\n    job.plot(${at.join(", ")})`;
+  const fixed = long.filter((axis) => !drawn.includes(axis)).map((axis) => `${axis}=${[spec[axis].stop ?? spec[axis]].flat().at(-1)}`);
+  if (isSweep(spec) || kind === "orbits") return `\n    job.plot(${fixed.join(", ")})`;
   const name = { basin: "basins", multistability: kind }[kind];
-  const content = `job.result_file(${[`"${name}"`, '"png"', ...at].join(", ")})`;
+  const content = `job.result_file(${[`"${name}"`, '"png"', ...fixed].join(", ")})`;
   return name ? `\n    with open("${name}.png", "wb") as file:\n        file.write(${content})` : "";
 }
 
@@ -35,7 +37,7 @@ with Client("${location.origin}") as client:
     job = client.submit(spec).wait()${drawing(spec)}
 `,
   TOML: (spec) => `# bounce submit sweep.toml --wait --url ${location.origin}
-${Object.entries(spec).filter(([, value]) => value !== null).map(([name, value]) => `${name} = ${toml(value)}`).join("\n")}
+${assignments(spec).join("\n")}
 `,
   curl: (spec) => `curl ${location.origin}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
 `,

@@ -1,13 +1,13 @@
 // The motion of a cell, a cycle or a start: played, in words, with its return map, phase portrait and values.
 
 import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
-import { h, problemLine, workButton } from "../lib/dom.js";
+import { button, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { SYMBOL, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
+import { AXES, axisText, axisValues, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Player, periodsOf } from "./player.js";
-import { Portraits } from "./portraits.js";
+import { MIN_FLIGHT, Portraits } from "./portraits.js";
 
 /** Of a motion that is played, in plate periods and samples per period; of a start, which takes longer to show where it leads. */
 const PLAYED = { periods: 4, samples: 240 };
@@ -18,7 +18,7 @@ const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which the note explains the delay
 const MAX_LISTED = 8; // flights, or numbers of a variable
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
-const MIN_FLIGHT = 1e-3; // rad: shorter flights are not listed
+const TITLES = { cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }; // by the kind of start
 
 export class TrajectoryPanel {
   player = null; // while something is shown
@@ -30,10 +30,8 @@ export class TrajectoryPanel {
     signal.addEventListener("abort", () => this.hide());
   }
 
-  /**
-   * Request and show the motion of a cell {gamma, omega, xi, direction or startName} of a job, or of one spring: a job
-   * without id. Ends when the motion is shown; the rest follows.
-   */
+  /** Request and show the motion of a cell {gamma, omega, xi, direction or startName} of a job, or of one spring: a job
+   * without id. Ends when the motion is shown; the rest follows. */
   async show(job, cell) {
     const key = JSON.stringify([cell, job.spec.model]);
     if (this.shown === key || this.signal.aborted) return;
@@ -43,18 +41,19 @@ export class TrajectoryPanel {
     const { signal } = this.request;
     if (!this.player) this.#build();
     const start = startOf(cell.direction);
-    const axes = Object.entries(SYMBOL).map(([axis, symbol]) => `${symbol} = ${number(cell[axis])}`);
-    this.title.textContent = `Trajectory of ${{ cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }[start?.kind] ?? "a cell"}`;
-    this.about.textContent = `${axes.join(", ")}, ${startText(cell.direction, job)}`;
+    const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
+    this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
+    this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
-    let path, options, cycle;
+    let path, options, cycle; // cycle: its plate periods
     const load = (periods) => {
-      [path, options] = addressOf(job, cell, { ...length, periods });
+      [path, options] = requestOf(job, cell, { ...length, periods });
       return this.#load(path, { ...options, signal });
     };
     try {
-      cycle = start || !job.id ? (start?.periods ?? 0) : await this.#showValues(job, cell, signal).catch(() => 0); // the panel is complete without values
+      cycle = start?.periods ?? 0;
+      if (!start && job.id) cycle = await this.#showValues(job, cell, signal).catch(() => 0); // complete without values
       await load(Math.max(length.periods, Math.min(cycle, LONGEST)));
       const { flights, in_flight: flies } = this.trajectory;
       if (!flights.length && flies.some(Boolean) && length === PLAYED) await load(STARTED.periods); // of a long flight
@@ -64,7 +63,7 @@ export class TrajectoryPanel {
       if (!isHandledElsewhere(error)) this.#showError(error);
       return;
     }
-    const name = () => `trajectory-${number(cell.gamma)}-${number(cell.omega)}`;
+    const name = () => `trajectory-${gamma}-${omega}`;
     this.files.replaceChildren(downloads([
       ["PNG", () => fileName(job, name(), "png"), () => this.player.plot.png()],
       ...resultFiles(job, name, [["CSV", "csv"], ["NetCDF", "nc"]], () => path, options),
@@ -79,18 +78,19 @@ export class TrajectoryPanel {
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
     this.proof = h("div", { hidden: true, role: "status" });
-    this.note = h("p", { className: "note computing", role: "status", hidden: true });
+    this.note = h("p", { className: "note", role: "status", hidden: true });
     this.problem = problemLine();
     this.readout = h("p", { className: "readout", role: "status" });
     this.closing = new AbortController();
     this.player = new Player(this.closing.signal);
     this.portraits = new Portraits(this.closing.signal);
+    const close = button("×", this.onClose, { className: "quiet close", "aria-label": "Close", title: "Close" });
     this.root.hidden = false;
     this.root.replaceChildren(
       h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
       h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
       this.portraits.element,
-      ...(this.onClose ? [h("button", { type: "button", className: "quiet close", "aria-label": "Close", title: "Close", onclick: () => this.onClose() }, "×")] : []));
+      ...(this.onClose ? [close] : []));
   }
 
   /** Play a motion; a note tells that it is computed, and after SLOW_MS why that takes long. */
@@ -116,7 +116,6 @@ export class TrajectoryPanel {
     this.#showError(null);
   }
 
-  /** An error takes the place of the motion. */
   #showError(error) {
     this.problem.show(error);
     for (const element of [this.player.element, this.portraits.element, this.readout]) element.hidden = Boolean(error);
@@ -124,7 +123,7 @@ export class TrajectoryPanel {
 
   /** The return map, of a longer motion, which the rest does not need. */
   async #loadMap(job, cell, signal) {
-    const [path, options] = addressOf(job, cell, MAPPED);
+    const [path, options] = requestOf(job, cell, MAPPED);
     try {
       const { flights } = await requestMotion(path, { ...options, signal });
       this.portraits.show({ flights });
@@ -138,7 +137,8 @@ export class TrajectoryPanel {
     const prove = async () => {
       const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
       const flights = times.data.map(([low, high]) => h("li", {}, `${low} to ${high} rad`));
-      const about = flights.length > MAX_LISTED ? ` The first ${MAX_LISTED} of ${flights.length} flights:` : flights.length ? " Flights:" : "";
+      const listed = flights.length > MAX_LISTED ? `The first ${MAX_LISTED} of ${flights.length} flights` : "Flights";
+      const about = flights.length ? ` ${listed}:` : "";
       this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
     };
     const failed = (error) => { if (!signal.aborted) this.proof.textContent = error.message; };
@@ -158,15 +158,15 @@ export class TrajectoryPanel {
   /** All variables that the diagram has of the cell; returns the plate periods of its cycle, 0 if it has none. */
   async #showValues(job, { gamma, ...cell }, signal) {
     const result = await requestDataset(`/v1/jobs/${job.id}/diagram?${query({ ...cell, start: gamma, stop: gamma })}`, { signal });
-    const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name);
+    const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name).map((variable) => [variable.attrs.long_name, valueText(variable)]);
     this.values.hidden = false;
-    this.values.replaceChildren(h("summary", {}, "All values of the cell"), table("Values of the cell", null, rows.map((variable) => [variable.attrs.long_name, valueText(variable)])));
+    this.values.replaceChildren(h("summary", {}, "All values of the cell"), table("Values of the cell", null, rows));
     return result.periods.data[0] ?? result.periods.data;
   }
 }
 
 /** The path and options of a request for the motion of a cell as the sweep left it, or of a start; of a cycle, on the contact that has it. */
-function addressOf(job, { direction, ...cell }, length) {
+function requestOf(job, { direction, ...cell }, length) {
   const start = startOf(direction);
   if (job.id && (!start || start.kind === "attractor")) {
     return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...(start ? { attractor: start.number } : { direction }), ...length })}`, {}];
@@ -182,36 +182,42 @@ function valueText({ data, attrs: { units = "1", flag_values: codes, flag_meanin
     if (codes) return meanings.split(" ")[codes.indexOf(value)].replaceAll("_", " ");
     return typeof value === "number" ? number(value, 6) : String(value);
   });
-  return `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${units === "1" || !texts.length ? "" : ` ${units}`}` || "–";
+  const unit = units === "1" ? "" : ` ${units}`;
+  return (texts.length && `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${unit}`) || "–";
 }
 
 function startText(direction, job) {
   const start = startOf(direction);
   if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor") return `on the attractor that ${start.number > 1 ? `is number ${start.number} by the drops that reach it` : "most drops reach"}`;
+  if (start?.kind === "attractor" && start.number === 1) return "on the attractor that most drops reach";
+  if (start?.kind === "attractor") return `on the attractor that is number ${start.number} by the drops that reach it`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }
 
 /** A trajectory from its Dataset: lists, with NaN after its end; its phases since the first sample, as those of a drop begin at the plate's phase. */
 async function requestMotion(path, options) {
-  const { attrs, ...found } = await requestDataset(path, { ...options, waits: true, timeout: TIMEOUT_MS });
-  const list = (name) => Array.from(found[name].data);
+  const { attrs, ...variables } = await requestDataset(path, { ...options, waits: true, timeout: TIMEOUT_MS });
+  const list = (name) => Array.from(variables[name].data);
   const named = (names, value) => Object.fromEntries(names.map((name) => [name, value(name)]));
+  const ofCycle = ["bounces", "periods", "flight_time", "stable", "multipliers"];
   return {
-    ...attrs, ...named(["plate", "z1", "z2", "velocity", "in_flight"], list), ...named(["gamma", "omega", "xi"], (name) => found[name].data),
+    ...attrs, ...named(["plate", "z1", "z2", "velocity", "in_flight"], list), ...named(AXES, (name) => variables[name].data),
     phase: list("phase").map((value, i, [first]) => value - first), flights: list("flight_time"),
-    cycle: found.cycle_multipliers && named(["bounces", "periods", "flight_time", "stable", "multipliers"], (name) => found[`cycle_${name}`].data),
+    cycle: variables.cycle_multipliers && named(ofCycle, (name) => variables[`cycle_${name}`].data),
   };
 }
 
-/** The flights of a trajectory in words. */
-function describeMotion({ phase, flights, in_flight: flies, cycle, complete }) {
+function describeMotion(trajectory) {
+  const { cycle, complete } = trajectory;
+  return `${cycle ? `On the ${cycleText(cycle)}. ` : ""}${flightsText(trajectory)}${complete ? "" : " The computation stopped before the end."}`;
+}
+
+function flightsText({ phase, flights, in_flight: flies }) {
   const times = flights.filter((time) => time > MIN_FLIGHT);
+  const periods = `${periodsOf({ phase })} plate periods`;
+  if (!times.length) return flies.some(Boolean) ? `No flight is complete within ${periods}.` : "The spring stays on the plate.";
   const listed = times.slice(0, MAX_LISTED).map((time) => number(time, 4)).join(", ");
-  const text = times.length
-    ? `${plural(times.length, "complete flight")} in ${periodsOf({ phase })} plate periods: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`
-    : flies.some(Boolean) ? `No flight is complete within ${periodsOf({ phase })} plate periods.` : "The spring stays on the plate.";
-  return `${cycle ? `On the ${cycleText(cycle)}. ` : ""}${text}${complete ? "" : " The computation stopped before the end."}`;
+  return `${plural(times.length, "complete flight")} in ${periods}: ${listed}${times.length > MAX_LISTED ? " …" : ""} rad.`;
 }

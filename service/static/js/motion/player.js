@@ -1,7 +1,7 @@
 // Playback of a trajectory: the animated spring, its heights over time as in the paper's Fig. 2 (a–d), and the controls.
 
 import { choice, h } from "../lib/dom.js";
-import { TWO_PI } from "../lib/physics.js";
+import { TWO_PI, clamp } from "../lib/physics.js";
 import { theme } from "../plot/colours.js";
 import { disc, polygon, polyline, resizedContext, verticalLine } from "../plot/drawing.js";
 import { Plot } from "../plot/plot.js";
@@ -14,8 +14,6 @@ const COILS = 9;
 const MARGIN = 0.06; // of the height range, above and below
 const MIN_LENGTH = 2; // plate amplitudes
 const MAX_LENGTH = 6;
-
-/** The plate periods that a trajectory spans. */
 export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
 
 export class Player {
@@ -26,7 +24,7 @@ export class Player {
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(signal) {
-    this.signal = signal; // aborted when it is closed
+    this.signal = signal; // aborted when the player is closed
     this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
@@ -49,7 +47,6 @@ export class Player {
     this.plot.element.addEventListener("drawn", () => this.#draw());
   }
 
-  /** Show another trajectory from the current phase on. */
   show(trajectory) {
     this.heights = heightsOf(trajectory);
     this.periods = periodsOf(trajectory);
@@ -135,14 +132,12 @@ function heightsOf(trajectory) {
   return { isBall, phase, plate, lower, upper, inFlight, low: low - margin, high: high + margin };
 }
 
-/**
- * The length the spring is drawn with. The dynamics do not depend on the rest length, so it is the one of the
- * trajectory where that can be seen, and long enough for the ends not to cross.
- */
+/** The length the spring is drawn with. The dynamics do not depend on the rest length, so it is the one of the
+ * trajectory where that can be seen, and long enough for the ends not to cross. */
 function drawnLength({ z1, z2, rest_length: rest }) {
   const maxCompression = -Math.min(...z1.map((value, i) => value - rest - z2[i]).filter(Number.isFinite));
   const minLength = Math.max(MIN_LENGTH, 1 + 1.3 * maxCompression);
-  return Math.min(Math.max(rest, minLength), Math.max(minLength, MAX_LENGTH));
+  return clamp(rest, minLength, Math.max(minLength, MAX_LENGTH));
 }
 
 function contentOf(heights, current) {
@@ -154,8 +149,8 @@ function contentOf(heights, current) {
     y: { label: "height / A", low: heights.low, high: heights.high },
     layers: [
       (ctx, box) => {
-        const surface = points(box, plate);
-        polygon(ctx, box.theme.text, [...surface, [box.left + box.width, box.top + box.height], [box.left, box.top + box.height]], box.theme.dark ? 0.62 : 0.85);
+        const [surface, bottom] = [points(box, plate), box.top + box.height];
+        polygon(ctx, box.theme.text, [...surface, [box.left + box.width, bottom], [box.left, bottom]], box.theme.dark ? 0.62 : 0.85);
         polyline(ctx, box.theme.text, 1.5, surface);
       },
       (ctx, box) => {
@@ -169,10 +164,10 @@ function contentOf(heights, current) {
 }
 
 /** Heights at a phase, linear between two samples; NaN after the end of the computed trajectory. */
-function heightsAt({ phase, plate, lower, upper, inFlight }, at) {
+function heightsAt({ phase, plate, lower, upper, inFlight }, current) {
   const step = phase[1] - phase[0];
-  const i = Math.min(Math.floor(at / step), phase.length - 2);
-  const fraction = Math.min(Math.max((at - phase[i]) / step, 0), 1);
+  const i = Math.min(Math.floor(current / step), phase.length - 2);
+  const fraction = clamp((current - phase[i]) / step, 0, 1);
   const between = (values) => values[i] + fraction * (values[i + 1] - values[i]);
   return { plate: between(plate), lower: between(lower), upper: between(upper), inFlight: inFlight[i] };
 }

@@ -7,12 +7,12 @@ import { disc, polyline } from "../plot/drawing.js";
 import { Plot } from "../plot/plot.js";
 import { extent } from "../plot/scale.js";
 
-const MIN_FLIGHT = 1e-3; // rad: shorter flights are left out of the map
+/** Shorter flights are neither on the map nor listed; rad. */
+export const MIN_FLIGHT = 1e-3;
 const MARGIN = 0.06; // of the range, on each side
 const MIN_RANGE = 0.2; // rad, of the return map: a cycle of one flight is one point in its middle
-const SAME = 2e-3; // rad: points of the map this near to each other are one
+const SAME = 2e-3; // rad: points of the map this near to each other are counted as one
 
-/** A return map and a phase portrait side by side. */
 export class Portraits {
   flights = null; // flight times in order
   trajectory = null;
@@ -38,7 +38,6 @@ export class Portraits {
   }
 }
 
-/** The pairs of successive flights, (φₙ, φₙ₊₁). */
 const pairsOf = (flights) => flights.slice(1).map((time, i) => [flights[i], time]);
 
 function mapText(flights) {
@@ -70,8 +69,8 @@ function phasePortrait({ model, phase, z1, z2, velocity, in_flight: flies, rest_
   const line = points.flatMap((point, i) => (flies[i - 1] && !flies[i] ? [null, point] : [point])).map((point) => point && (isKnown(point) ? point : null));
   const perPeriod = Math.round(TWO_PI / (phase[1] - phase[0]));
   const section = points.filter((point, i) => isKnown(point) && i % perPeriod === 0);
-  const range = (k) => (known.length ? widened(Math.min(...known.map((point) => point[k])), Math.max(...known.map((point) => point[k]))) : [-1, 1]);
-  const [[x0, x1], [y0, y1]] = [range(0), range(1)];
+  const range = (values) => (values.length ? widened(Math.min(...values), Math.max(...values)) : [-1, 1]);
+  const [[x0, x1], [y0, y1]] = [range(known.map(([x]) => x)), range(known.map(([, y]) => y))];
   return {
     x: { label: "elongation / A", low: x0, high: x1 }, y: { label: "velocity / (Aω)", low: y0, high: y1 },
     message: known.length ? null : "A ball has no spring",

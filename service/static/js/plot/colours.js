@@ -24,11 +24,11 @@ export function theme() {
 /** Attractors of a plane with a colour of their own; the others share one. */
 export const COLOURED = palette.attractors.length;
 
-/** The colour of the attractor, or compared sweep, with this number from 1, in a dark or light scheme. */
-export const branchColour = (id, dark) => (palette.attractors[id - 1] ?? palette.other_attractors)[Number(dark)];
+/** The colour of the attractor of a map, or compared sweep, with this number from 1. */
+export const numberedColour = (id, dark) => (palette.attractors[id - 1] ?? palette.other_attractors)[Number(dark)];
 
-/** The colour of the attractor of a basin with this number, from 1; repeated. */
-export const attractorColour = (id, dark) => branchColour(((id - 1) % COLOURED) + 1, dark);
+/** The colour of the attractor of a basin with this number from 1: there colours are used again. */
+export const attractorColour = (id, dark) => numberedColour(((id - 1) % COLOURED) + 1, dark);
 
 export function onThemeChange(listener, signal) {
   matchMedia(DARK).addEventListener("change", listener, { signal });
@@ -62,9 +62,7 @@ function classOf(label, bounces, periods, multiplier) {
   return periods > HUES.length ? MARGIN - 1 : FIRST + SHADES.length * (periods - 1) + 1 + Math.sign(bounces - periods);
 }
 
-/**
- * Classes of cells by colour, by their multipliers if those are given: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order.
- */
+/** Classes of cells by colour, by their multipliers if those are given: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order. */
 export function modeClasses({ outcome, label: labels = outcome, bounces, periods, multiplier }) {
   const ofCell = new Uint8Array(labels.length);
   const cells = new Uint32Array(CLASSES.length);
@@ -79,6 +77,4 @@ export function modeClasses({ outcome, label: labels = outcome, bounces, periods
 
 /** How queries of the service name a class; null where they have no name for it. */
 export const classQuery = (id) => CLASSES[id].query;
-
-/** The colour of a class of cells. */
 export const modeColour = (id, dark) => CLASSES[id].colours[Number(dark)];

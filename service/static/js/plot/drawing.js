@@ -16,10 +16,10 @@ export function resizedContext(canvas, width, height, ratio = pixelRatio()) {
   return ctx;
 }
 
-/** A PNG that says what it shows, in an iTXt chunk after its header. */
+/** A PNG that says what it shows, in an iTXt chunk after its header of 33 bytes. */
 export function described(png, text) {
   const chunk = new TextEncoder().encode(`iTXtDescription\0\0\0\0\0${text}`);
-  const divided = (rest) => (rest >>> 1) ^ (rest & 1 ? 0xedb88320 : 0);
+  const divided = (rest) => (rest >>> 1) ^ (rest & 1 ? 0xedb88320 : 0); // by the polynomial of CRC-32
   const crc = chunk.reduce((rest, byte) => Array(8).fill().reduce(divided, rest ^ byte), -1);
   const [length, check] = [chunk.length - 4, ~crc].map((value) => [24, 16, 8, 0].map((bits) => (value >> bits) & 255));
   return new Blob([png.slice(0, 33), Uint8Array.from(length), chunk, Uint8Array.from(check), png.slice(33)], { type: "image/png" });
@@ -35,7 +35,6 @@ export function polyline(ctx, colour, width, points, dash = []) {
   ctx.setLineDash([]);
 }
 
-/** A filled polygon. */
 export function polygon(ctx, colour, points, opacity = 1) {
   ctx.fillStyle = colour;
   ctx.globalAlpha = opacity;
@@ -52,6 +51,10 @@ export function disc(ctx, colour, x, y, radius) {
   ctx.fill();
 }
 
+export const isInBox = (x, y, { left, top, width, height }) => x >= left && x <= left + width && y >= top && y <= top + height;
+export const CURVE_DASH = [7, 4]; // px, of the threshold over Ω
+export const legendLine = (ctx, colour, width, x, y, dash = []) => polyline(ctx, colour, width, [[x, y], [x + 24, y]], dash);
+
 export function circle(ctx, colour, width, x, y, radius) {
   ctx.strokeStyle = colour;
   ctx.lineWidth = width;
@@ -60,11 +63,9 @@ export function circle(ctx, colour, width, x, y, radius) {
   ctx.stroke();
 }
 
-/** A vertical line over the height of the plot box. */
 export const verticalLine = (ctx, box, x, colour, width = 1, dash = []) =>
   polyline(ctx, colour, width, [[x, box.top], [x, box.top + box.height]], dash);
 
-/** Run `draw` with drawing limited to the box. */
 export function clipped(ctx, { left, top, width, height }, draw) {
   ctx.save();
   ctx.beginPath();
@@ -74,10 +75,8 @@ export function clipped(ctx, { left, top, width, height }, draw) {
   ctx.restore();
 }
 
-/**
- * A bitmap of `width` × `height` pixels stretched over [x0, x1] × [y0, y1]; `fill(pixels)` writes one 32-bit colour
- * (see `rgba32`) per pixel.
- */
+/** A bitmap of `width` × `height` pixels stretched over [x0, x1] × [y0, y1]; `fill(pixels)` writes one 32-bit colour
+ * (see `rgba32`) per pixel. */
 export function bitmap(ctx, width, height, fill, x0, y0, x1, y1) {
   const canvas = document.createElement("canvas");
   [canvas.width, canvas.height] = [width, height];

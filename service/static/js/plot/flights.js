@@ -6,25 +6,20 @@ const MAX_DOTS = 4000; // flights in view
 const FAINTEST = 0.5; // opacity of a single flight, as in the service's pictures
 const SATURATION = 24; // flights on one pixel that are drawn fully opaque
 
-/** The flights of a cell of a line that count: NaN stands for the others. */
+/** The flights of a cell of a line; NaN stands for those that do not count. */
 export const flightsIn = ({ flight_time: times, keep }, cell) => times.subarray(cell * keep, (cell + 1) * keep).filter(Number.isFinite);
 
-/**
- * Draw lines {values, flight_time, keep} over each other, each in `colourOf(line)`. All but the last are drawn with
- * larger dots, which remain visible where two directions agree.
- */
+/** Draw lines {values, flight_time, keep} over each other, each in `colourOf(line)`. All but the last are drawn with
+ * larger dots, which remain visible where two directions agree. */
 export function drawFlights(ctx, box, lines, colourOf) {
   const cells = lines.map((line) => cellsInView(box, line));
-  let left = MAX_DOTS;
-  const areFew = lines.every((line, i) => cells[i].every((cell) => (left -= flightsIn(line, cell).length) >= 0));
+  let dots = 0;
+  const areFew = lines.every((line, i) => cells[i].every((cell) => (dots += flightsIn(line, cell).length) <= MAX_DOTS));
   lines.forEach((line, i) => (areFew ? drawDots : drawDensity)(ctx, box, line, cells[i], colourOf(line), i < lines.length - 1));
 }
 
-/** The cells between the left and right border of the box. */
 function cellsInView(box, { values }) {
-  const cells = [];
-  for (let i = 0; i < values.length; i++) if (values[i] >= box.x.low && values[i] <= box.x.high) cells.push(i);
-  return cells;
+  return Array.from(values.keys()).filter((cell) => values[cell] >= box.x.low && values[cell] <= box.x.high);
 }
 
 function drawDots(ctx, box, line, cells, colour, isLarge) {
@@ -40,7 +35,6 @@ export function drawCell(ctx, box, value, times, colour, radius) {
   for (const y of heights) disc(ctx, colour, box.x.pixel(value), y, radius);
 }
 
-/** A line through a cell and a circle around each of its flights. */
 export function markCell(ctx, box, value, times) {
   const x = box.x.pixel(value);
   verticalLine(ctx, box, x, box.theme.cursor);
@@ -54,14 +48,16 @@ function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colo
   const { low, high, log } = box.y;
   const [bottom, top] = log ? [Math.log(low), Math.log(high)] : [low, high];
   const rows = height / (top - bottom);
-  const first = (at, length) => Math.max(0, Math.min(length - size, Math.floor(at - (size - 1) / 2)));
+  const first = (middle, length) => Math.max(0, Math.min(length - size, Math.floor(middle - (size - 1) / 2)));
   const counts = new Uint16Array(width * height);
   for (const cell of cells) {
     const column = first(((box.x.pixel(values[cell]) - box.left) / box.width) * width, width);
     for (let j = cell * keep; j < (cell + 1) * keep; j++) {
       if (!(times[j] >= low && times[j] <= high)) continue; // NaN is none
       const row = first(height - 1 - ((log ? Math.log(times[j]) : times[j]) - bottom) * rows, height);
-      for (let r = row; r < row + size; r++) for (let c = column; c < column + size; c++) counts[r * width + c]++;
+      for (let r = row; r < row + size; r++) {
+        for (let c = column; c < column + size; c++) counts[r * width + c]++;
+      }
     }
   }
   const opacity = (n) => FAINTEST + ((1 - FAINTEST) * Math.log(Math.max(n, 1))) / Math.log(SATURATION);

@@ -25,7 +25,7 @@ export function boxOf(ctx, content, width, height, theme, ratio) {
 
 /** Title and legend from left to right, in as many lines as they need: [{name, drawSymbol, x, line}, …]. */
 function headingsOf(ctx, { title, legend = [] }, width, theme) {
-  ctx.font = headingFont(theme);
+  ctx.font = `${FONT_SIZE + 1}px ${theme.serif}`;
   let [x, line] = [0, 0];
   return [...(title ? [[title]] : []), ...legend].map(([name, drawSymbol]) => {
     const size = ctx.measureText(name).width + (drawSymbol ? LEGEND_SPACE : HEADING_HEIGHT);
@@ -34,8 +34,6 @@ function headingsOf(ctx, { title, legend = [] }, width, theme) {
     return { name, drawSymbol, x: x - size, line };
   });
 }
-
-const headingFont = (theme) => `${FONT_SIZE + 1}px ${theme.serif}`;
 
 /** The left margin fits the label and the widest tick. */
 function leftMargin(ctx, { low, high, log }, height, theme, narrow) {
@@ -69,25 +67,25 @@ export function drawFrame(ctx, box, { x, y }) {
   ctx.font = `italic ${title.size}px ${theme.serif}`;
   if (x.label) texts.push({ ...title, text: x.label, x: left + width / 2, y: top + height + 36 });
   const fits = ctx.measureText(y.label).width < height + 24;
-  if (y.label) texts.push({ ...title, text: fits ? y.label : y.label.replace(/.* (?=[ΓΩξφ])/, ""), x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
+  const yLabel = fits ? y.label : y.label.replace(/.* (?=[ΓΩξφ])/, ""); // or its symbol alone
+  if (yLabel) texts.push({ ...title, text: yLabel, x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures; on the right there may be labels of plate periods instead. */
 function drawTicks(ctx, { x, y, left, top, width, height, narrow, theme, texts }, periods) {
   const [right, bottom] = [left + width, top + height];
   for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
-    const at = clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5;
-    polyline(ctx, theme.text, 1, [[at, bottom - 6], [at, bottom], null, [at, top], [at, top + 6]]);
-    texts.push({ text, x: at, y: bottom + 14, align: "center" });
+    const px = clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5;
+    polyline(ctx, theme.text, 1, [[px, bottom - 6], [px, bottom], null, [px, top], [px, top + 6]]);
+    texts.push({ text, x: px, y: bottom + 14, align: "center" });
   }
   for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
-    const at = clamp(Math.round(y.pixel(value)), top, bottom - 1) + 0.5;
-    polyline(ctx, theme.text, 1, [[left, at], [left + 6, at], null, ...(periods ? [] : [[right - 6, at], [right, at]])]);
-    texts.push({ text, x: left - 7, y: at, align: "right" });
+    const py = clamp(Math.round(y.pixel(value)), top, bottom - 1) + 0.5;
+    polyline(ctx, theme.text, 1, [[left, py], [left + 6, py], null, ...(periods ? [] : [[right - 6, py], [right, py]])]);
+    texts.push({ text, x: left - 7, y: py, align: "right" });
   }
 }
 
-/** The title and the legend above the frame. */
 export function drawHeadings(ctx, { left, headings, theme, texts }) {
   for (const { name, drawSymbol, x, line } of headings) {
     const y = 18 + HEADING_HEIGHT * line;

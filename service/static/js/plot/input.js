@@ -1,7 +1,7 @@
 // Pointer and keyboard input on a plot: hover, select, zoom, step from cell to cell.
 
 import { clamp } from "../lib/physics.js";
-import { polyline } from "./drawing.js";
+import { isInBox, polyline } from "./drawing.js";
 
 const DRAG_PX = 6; // shorter movements are clicks
 const DOUBLE_MS = 300; // between the presses of a double click, which resets the zoom
@@ -16,38 +16,60 @@ const KEYS = {
 };
 const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
-/**
- * Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), isZoomed(), scale([factors of width and height], [x, y], where that goes
- * if it does not stay).
- */
+/** Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
+ * step(right, up), zoom({x0, x1, y0, y1} or null for everything), isZoomed(), and scale([factors of width and height],
+ * [x, y], where that goes if it does not stay). */
 export function listenToInput(plot, handlers) {
+  listenToPointers(plot, handlers);
+  // Beside the frame the wheel zooms the axis that it is over.
+  listen(plot, "wheel", (event) => {
+    event.preventDefault();
+    const { left, top, width, height } = plot.box;
+    const [x, y] = positionOf(event, plot);
+    const factor = Math.exp(WHEEL * event.deltaY * (event.deltaMode ? 16 : 1) * (event.ctrlKey ? 6 : 1)); // a pinch has Ctrl
+    const nearest = [clamp(x, left, left + width), clamp(y, top, top + height)];
+    handlers.scale([x < left ? 1 : factor, y > top + height ? 1 : factor], valuesAt(nearest, plot));
+  }, { passive: false });
+  listen(plot, "keydown", (event) => {
+    const key = KEYS[event.key];
+    if (event.ctrlKey || event.metaKey || event.altKey || !key) return;
+    event.preventDefault();
+    const [name, ...args] = key;
+    const isLarge = event.shiftKey && event.key.startsWith("Arrow");
+    handlers[name](...(isLarge ? args.map((cells) => cells * LARGE_STEP) : args));
+  });
+}
+
+/** Listen while something is drawn. */
+const listen = (plot, type, handle, options) => plot.element.addEventListener(type, (event) => plot.box && handle(event), options);
+
+function positionOf(event, { element }) {
+  const { left, top } = element.getBoundingClientRect();
+  return [event.clientX - left, event.clientY - top];
+}
+
+const valuesAt = ([x, y], { box }) => [box.x.value(x), box.y.value(y)];
+
+function listenToPointers(plot, handlers) {
   const { element } = plot;
   let dragStart = null;
   let dragEnd = null;
   let isPan = false; // a drag with Shift moves the window
   let selecting; // a press selects, unless another one follows that makes it a double click
   const pressed = new Map(); // where pointers are down: two pinch
+  const position = (event) => positionOf(event, plot);
+  const values = (point) => valuesAt(point, plot);
+  const isInside = ([x, y]) => isInBox(x, y, plot.box);
 
-  const position = (event) => {
-    const bounds = element.getBoundingClientRect();
-    return [event.clientX - bounds.left, event.clientY - bounds.top];
-  };
-  const values = ([x, y]) => [plot.box.x.value(x), plot.box.y.value(y)];
-  const isInside = ([x, y], { left, top, width, height }) =>
-    x >= left && x <= left + width && y >= top && y <= top + height;
-
-  const listen = (type, handle) => element.addEventListener(type, (event) => plot.box && handle(event));
-
-  listen("pointerdown", (event) => {
+  listen(plot, "pointerdown", (event) => {
     clearTimeout(selecting);
     pressed.set(event.pointerId, position(event));
-    if (event.button !== 0 || !isInside(position(event), plot.box)) return;
+    if (event.button !== 0 || !isInside(position(event))) return;
     dragStart = pressed.size > 1 ? null : position(event);
     dragEnd = null;
   });
   element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false }); // no scrolling
-  listen("pointermove", (event) => {
+  listen(plot, "pointermove", (event) => {
     const point = position(event);
     if (pressed.size === 2 && pressed.has(event.pointerId)) {
       const before = between(pressed);
@@ -62,49 +84,30 @@ export function listenToInput(plot, handlers) {
       element.setPointerCapture(event.pointerId);
       plot.drawCursor();
       drawSelection(plot, dragStart, dragEnd);
-    } else if (isInside(point, plot.box)) handlers.hover(...values(point));
+    } else if (isInside(point)) handlers.hover(...values(point));
   });
-  listen("pointerup", (event) => {
+  listen(plot, "pointerup", (event) => {
     if (isPan) isPan = false;
     else if (dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
-    else if (dragStart && isInside(position(event), plot.box)) {
-      const at = values(position(event));
-      selecting = setTimeout(() => element.isConnected && handlers.select(...at), handlers.isZoomed() ? DOUBLE_MS : 0);
+    else if (dragStart && isInside(position(event))) {
+      const [x, y] = values(position(event));
+      selecting = setTimeout(() => element.isConnected && handlers.select(x, y), handlers.isZoomed() ? DOUBLE_MS : 0);
     }
     dragStart = dragEnd = null;
   });
-  listen("pointercancel", () => {
+  listen(plot, "pointercancel", () => {
     dragStart = dragEnd = null;
     isPan = false;
     plot.drawCursor();
   });
-  listen("pointerleave", () => dragStart || handlers.leave());
+  listen(plot, "pointerleave", () => dragStart || handlers.leave());
   for (const type of ["pointerup", "pointercancel", "pointerleave"]) element.addEventListener(type, ({ pointerId }) => pressed.delete(pointerId));
-  listen("dblclick", () => {
+  listen(plot, "dblclick", () => {
     clearTimeout(selecting);
     handlers.zoom(null);
   });
-  // Beside the frame the wheel zooms the axis that it is over.
-  element.addEventListener("wheel", (event) => {
-    if (!plot.box) return;
-    event.preventDefault();
-    const { left, top, width, height } = plot.box;
-    const [x, y] = position(event);
-    const factor = Math.exp(WHEEL * event.deltaY * (event.deltaMode ? 16 : 1) * (event.ctrlKey ? 6 : 1)); // a pinch has Ctrl
-    handlers.scale([x < left ? 1 : factor, y > top + height ? 1 : factor], values([clamp(x, left, left + width), clamp(y, top, top + height)]));
-  }, { passive: false });
-
-  listen("keydown", (event) => {
-    const key = KEYS[event.key];
-    if (event.ctrlKey || event.metaKey || event.altKey || !key) return;
-    event.preventDefault();
-    const [name, ...given] = key;
-    const isLarge = event.shiftKey && event.key.startsWith("Arrow");
-    handlers[name](...(isLarge ? given.map((cells) => cells * LARGE_STEP) : given));
-  });
 }
 
-/** What is between two pointers, px. */
 function between(pointers) {
   const [[ax, ay], [bx, by]] = pointers.values();
   return { length: Math.hypot(ax - bx, ay - by), middle: [(ax + bx) / 2, (ay + by) / 2] };

@@ -10,15 +10,13 @@ const PNG_RATIO = 3; // pixels of a file per CSS pixel
 
 let plots = 0;
 
-/**
- * `content()` returns what to draw, null before anything is loaded:
+/** `content()` returns what to draw, null before anything is loaded:
  *   x: {label, low, high, log}, y: {label, low, high, log, periods (mark whole plate periods)},
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
  *   title, message (shown in the middle of an empty plot),
  *   margins: [left, right], in px, where they are those of another plot,
  *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …].
- * Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts.
- */
+ * Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts. */
 export class Plot {
   constructor(root, { label, content, signal, takesInput = true }) {
     this.content = content;
@@ -35,7 +33,6 @@ export class Plot {
     onThemeChange(() => this.draw(), signal); // at once, before it is printed
   }
 
-  /** Draw everything in the next animation frame. */
   redraw() {
     cancelAnimationFrame(this.frame);
     this.frame = requestAnimationFrame(() => this.draw());

@@ -12,7 +12,7 @@ export function scale(low, high, from, to, log = false) {
   return { pixel, value, low, high, log };
 }
 
-/** About `n` round values within [low, high], with their text: [{value, text}, …]; at least two, and three where these are at most 1.5n. */
+/** About `n` round values within [low, high], with their text; at least two, and three where these are at most 1.5n. */
 export function ticks(low, high, n, log = false, tries = 3) {
   if (log && high / low > 30) return decades(low, high);
   const rough = (high - low) / Math.max(n, 1);
@@ -30,11 +30,11 @@ export function ticks(low, high, n, log = false, tries = 3) {
 
 /** Powers of ten; where there are less than three, twice and five times them too. */
 function decades(low, high) {
-  const found = [];
+  const candidates = [];
   for (let e = Math.floor(Math.log10(low)); 10 ** e <= high * (1 + 1e-9); e++) {
-    for (const factor of [1, 2, 5]) found.push({ value: Number(`${factor}e${e}`), isPower: factor === 1 });
+    for (const factor of [1, 2, 5]) candidates.push({ value: Number(`${factor}e${e}`), isPower: factor === 1 });
   }
-  const values = found.filter(({ value }) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  const values = candidates.filter(({ value }) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
   const powers = values.filter(({ isPower }) => isPower);
   return (powers.length < 3 ? values : powers).map(({ value }) => ({ value, text: number(value) }));
 }

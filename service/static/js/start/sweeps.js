@@ -2,7 +2,7 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
-import { announce, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, button, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
 
@@ -13,7 +13,6 @@ const IDLE_POLL_MS = 5000;
 const ERROR_MS = 8000; // how long an error is shown
 const TYPING_MS = 250;
 const MAX_NAMED = 5; // sweeps named in a confirmation
-
 const named = (name) => [name, name];
 const STATES = [["", "any state"], ...["queued", "running", "done", "failed", "cancelled"].map(named)];
 const MODELS = [["", "any contact"], ...["rigid", "soft", "stepped", "ball", "auto"].map(named)];
@@ -22,17 +21,17 @@ const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "
 export class SweepList {
   rows = new Map(); // job id → row
   selected = new Set(); // ids, in the order in which they were selected
-  cursors = [null]; // of the pages up to the shown one
-  jobs = []; // shown
+  cursors = [null]; // of the pages up to the one that is shown
+  jobs = []; // of this page
 
   constructor(root, address, signal) {
     this.signal = signal;
     document.title = "Bouncing spring";
     const find = () => this.#find();
     const select = (name, title, options) => choice(title, options, "", find, { name });
-    const button = (title, work) => h("button", { type: "button", className: "quiet", onclick: work }, title);
-    this.filters = h("form", { className: "controls filters", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
-      h("label", { className: "option" }, "Find ", h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, find) })),
+    const search = h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, find) });
+    this.filters = h("form", { className: "controls", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
+      h("label", { className: "option" }, "Find ", search),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
     this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
     this.chosen = h("span", { className: "note", role: "status" });
@@ -47,18 +46,14 @@ export class SweepList {
     this.range = h("span", { className: "note", role: "status" });
     this.previous = button("Previous page", () => this.#turn(this.cursors.slice(0, -1)));
     this.next = button("Next page", () => this.#turn([...this.cursors, this.following]));
-    this.intro = h("section", { className: "intro", hidden: true }, // while there is no sweep
-      h("p", {}, "Two masses joined by a spring and a dashpot bounce on a plate that vibrates. Their flight times and modes depend on the plate’s acceleration ", h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), "."),
-      h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New study"), " computes sweeps of these parameters, from the paper’s figures or your own."),
-      h("p", {}, h("a", { className: "button", href: link(["explore"]) }, "Explore"), " shows one spring move, its cycles and thresholds, without computing a sweep."));
+    this.intro = introduction();
     root.replaceChildren(
-      h("h1", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.intro, this.notice, this.filters, this.problem.element, this.selection, this.empty, this.list,
-      h("div", { className: "controls pages" }, this.previous, this.next, this.range));
+      h("h1", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.intro, this.notice, this.filters, this.problem.element,
+      this.selection, this.empty, this.list, h("div", { className: "controls" }, this.previous, this.next, this.range));
     this.#showSelection();
     this.show();
   }
 
-  /** Show the sweeps that the address asks for. */
   show() {
     const query = currentQuery();
     for (const control of this.filters.elements) control.value = query[control.name] ?? "";
@@ -70,11 +65,11 @@ export class SweepList {
     clearTimeout(this.timer);
     const wanted = this.#wanted();
     const asked = JSON.stringify([wanted, this.cursors]);
-    const page = (values) => requestJson(`/v1/jobs?${query({ ...wanted, ...values })}`, { signal: this.signal });
+    const request = (page) => requestJson(`/v1/jobs?${query({ ...wanted, ...page })}`, { signal: this.signal });
     try {
       const [pinned, others] = await Promise.all([
-        page({ pinned: true, limit: MAX_PINNED }),
-        page({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
+        request({ pinned: true, limit: MAX_PINNED }),
+        request({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
       if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
       this.#showJobs([...(this.cursors.length === 1 ? pinned.jobs : []), ...others.jobs]);
@@ -111,7 +106,7 @@ export class SweepList {
     this.refresh();
   }
 
-  /** The heading takes the keyboard focus: the pressed button disappears. */
+  /** Show another page of the list. The heading takes the keyboard focus: the pressed button disappears. */
   #turn(cursors) {
     this.cursors = cursors;
     this.refresh();
@@ -123,10 +118,12 @@ export class SweepList {
     const before = (this.cursors.length - 1) * PAGE_SIZE;
     const total = pinned.total + others.total;
     const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
+    const foundText = isFiltered ? `${plural(total, "sweep")} found` : "";
     this.previous.hidden = !before;
     this.next.hidden = others.next === null;
-    const shown = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinned.total ? `, and ${count(pinned.total)} pinned` : ""}`;
-    setText(this.range, before || others.next ? shown : isFiltered ? `${plural(total, "sweep")} found` : "");
+    const pinnedText = pinned.total ? `, and ${count(pinned.total)} pinned` : "";
+    const range = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinnedText}`;
+    setText(this.range, before || others.next ? range : foundText);
     this.empty.hidden = total > 0;
     this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet.";
     this.intro.hidden = total > 0 || isFiltered;
@@ -160,12 +157,12 @@ export class SweepList {
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
-    const parts = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
-    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), parts.about),
-      parts.progress, time, parts.actions, parts.notice, error);
+    const summary = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
+    const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), summary.about),
+      summary.progress, time, summary.actions, summary.notice, error);
     const update = (current) => {
       job = current;
-      parts.show(job);
+      summary.show(job);
       box.setAttribute("aria-label", `Select ${titleOf(job)}`);
       pin.textContent = job.pinned ? "★" : "☆";
       pin.setAttribute("aria-label", `Pin ${titleOf(job)}`);
@@ -180,10 +177,7 @@ export class SweepList {
   }
 
   #select(jobs, on) {
-    for (const { id } of jobs) {
-      if (on) this.selected.add(id);
-      else this.selected.delete(id);
-    }
+    for (const { id } of jobs) this.selected[on ? "add" : "delete"](id);
     this.#showSelection();
   }
 
@@ -192,9 +186,11 @@ export class SweepList {
     const selected = this.jobs.filter(({ id }) => this.selected.has(id));
     this.all.checked = this.jobs.length > 0 && selected.length === this.jobs.length;
     this.all.indeterminate = selected.length > 0 && !this.all.checked;
-    setText(this.chosen, selected.length ? `${count(selected.length)} selected${selected.length > MOST_COMPARED ? `; at most ${MOST_COMPARED} can be compared` : ""}` : "");
+    const areTooMany = selected.length > MOST_COMPARED;
+    const limit = areTooMany ? `; at most ${MOST_COMPARED} can be compared` : "";
+    setText(this.chosen, selected.length ? `${count(selected.length)} selected${limit}` : "");
     this.bulk.hidden = !selected.length;
-    this.compare.disabled = selected.length < 2 || selected.length > MOST_COMPARED;
+    this.compare.disabled = selected.length < 2 || areTooMany;
     this.remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
   }
 
@@ -225,6 +221,12 @@ export class SweepList {
     this.#turn(this.cursors);
   }
 }
+
+const introduction = () => h("section", { className: "intro", hidden: true },
+  h("p", {}, "Two masses joined by a spring and a dashpot bounce on a plate that vibrates. Their flight times and modes depend on the plate’s acceleration ",
+    h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), "."),
+  h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New study"), " computes sweeps of these parameters, from the paper’s figures or your own."),
+  h("p", {}, h("a", { className: "button", href: link(["explore"]) }, "Explore"), " shows one spring move, its cycles and thresholds, without computing a sweep."));
 
 /** Change a text that is announced, only where it differs. */
 function setText(element, text) {

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
-import { AXES, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
+import { AXES, axisColumn, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
 import { attractorColour, theme } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { PlaneView, legendEntry } from "./cells.js";
@@ -36,21 +36,18 @@ export class Basin extends PlaneView {
   read([result]) {
     this.basin = result;
     this.attractors = partsOf(result, "attractor");
+    this.cell = Object.fromEntries(AXES.map((axis) => [axis, result[axis].data]));
     [this.columns, this.rows, this.map] = ["column", "row", "attractor_of_start"].map((name) => result[name].data);
-  }
-
-  /** The cell shown. */
-  get cell() {
-    return Object.fromEntries(AXES.map((axis) => [axis, this.basin[axis].data]));
   }
 
   showLegend() {
     const [undecided, entropy, boundary] = ["undecided", "basin_entropy", "boundary_entropy"].map((name) => this.basin[name].data);
+    const entry = (attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
+      type: "button", className: "link", title: "See the attractor move",
+      onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
+    }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)));
     this.legend.replaceChildren(
-      ...this.attractors.map((attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
-        type: "button", className: "link", title: "See the attractor move",
-        onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
-      }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)))),
+      ...this.attractors.map(entry),
       ...(undecided ? [legendEntry(theme().surface, "undecided ", h("small", {}, share(undecided)))] : []));
     const texts = [["basin entropy", entropy], ["boundary basin entropy", boundary]].filter(([, value]) => value !== null);
     this.entropies.textContent = texts.map(([name, value]) => `${name} ${number(value, 4)}`).join(", ");
@@ -59,10 +56,9 @@ export class Basin extends PlaneView {
   content() {
     const { plane, complete } = this.basin.attrs;
     const [[across], [along]] = AXES_OF[plane];
-    const { gamma, omega, xi } = this.cell;
     return {
       ...this.scales({ label: across }, { label: along }),
-      title: `Γ = ${number(gamma)}, Ω = ${number(omega)}, ξ = ${number(xi)}`,
+      title: this.textOf(this.cell),
       message: complete ? null : "This cell is not computed yet",
       layers: [(ctx, box) => this.#drawStarts(ctx, box)],
       cursor: (ctx, box) => this.drawCursor(ctx, box),
@@ -74,7 +70,7 @@ export class Basin extends PlaneView {
     this.drawCells(ctx, box, (cell) => colours[this.map[cell]]);
   }
 
-  placeOf({ direction }) {
+  positionOf({ direction }) {
     const start = startOf(direction);
     return start?.kind === this.basin.attrs.plane && [start.phase ?? start.velocity, start.height ?? start.elongation];
   }
@@ -89,12 +85,14 @@ export class Basin extends PlaneView {
       const attractor = this.attractors[this.map[this.indexOf(cell)] - 1];
       return attractor ? attractorText(attractor) : "no attractor: undecided";
     };
-    return [[across, ({ column }) => number(this.columns[column])], [along, ({ row }) => number(this.rows[row])], ["reaches", reached]];
+    return [axisColumn(across, this.columns, ({ column }) => this.columns[column]), axisColumn(along, this.rows, ({ row }) => this.rows[row]), ["reaches", reached]];
   }
 }
 
 /** "(3, 4), flights up to 7.956 rad, λ₁ −0.31 ± 0.02" */
-function attractorText({ attractor_outcome: outcome, attractor_label: label, attractor_bounces: bounces, attractor_periods: periods, attractor_longest_flight: longest, attractor_lyapunov: exponents, attractor_lyapunov_error: error }) {
+function attractorText(attractor) {
+  const names = ["outcome", "label", "bounces", "periods", "longest_flight", "lyapunov", "lyapunov_error"];
+  const [outcome, label, bounces, periods, longest, exponents, error] = names.map((name) => attractor[`attractor_${name}`]);
   const parts = [label.startsWith("(") || label === "rest" ? outcomeText(outcome, bounces, periods) : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
   if (Number.isFinite(exponents?.[0])) parts.push(`λ₁ ${exponentText(exponents[0], error)}`);

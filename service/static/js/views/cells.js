@@ -2,8 +2,8 @@
 
 import { currentQuery, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
-import { number, share } from "../lib/format.js";
-import { clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
+import { share } from "../lib/format.js";
+import { axisColumn, clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour, theme } from "../plot/colours.js";
 import { bitmap, circle, polyline } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
@@ -17,7 +17,7 @@ export function windowOf(columns, rows, positive = false) {
 
 /** A view of cells {column, row}: indices into the `columns` and `rows` that were loaded. */
 export class PlaneView extends PlotView {
-  isPositive = true; // no value of an axis is below 0
+  isPositive = true; // the window is not below 0
 
   whole() {
     return windowOf(this.columns, this.rows, this.isPositive);
@@ -42,11 +42,7 @@ export class PlaneView extends PlotView {
     const inside = (values, low, high) => Array.from(values.keys()).filter((i) => values[i] >= low && values[i] <= high);
     const { x0, x1, y0, y1 } = this.visible();
     const columns = inside(this.columns, x0, x1);
-    return inside(this.rows, y0, y1).flatMap((row) => columns.map((column) => ({ column, row }))).filter((cell) => !this.isHidden(cell));
-  }
-
-  isHidden() {
-    return false;
+    return inside(this.rows, y0, y1).flatMap((row) => columns.map((column) => ({ column, row }))).filter((cell) => !this.isHidden?.(cell));
   }
 
   /** The index of a cell in what is stored row by row. */
@@ -54,25 +50,23 @@ export class PlaneView extends PlotView {
     return row * this.columns.length + column;
   }
 
-  /** The table's columns for Γ and Ω. */
   columnsOfPlane() {
-    return [["Γ", ({ column }) => number(this.columns[column])], ["Ω", ({ row }) => number(this.rows[row])]];
+    return [axisColumn("Γ", this.grid.gamma, ({ column }) => this.columns[column]), axisColumn("Ω", this.grid.omega, ({ row }) => this.rows[row])];
   }
 
   cellOf({ column, row }) {
-    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.ramp ?? this.directions[0] };
+    return { gamma: this.columns[column], omega: this.rows[row], xi: this.xi, direction: this.loadedDirection ?? this.directions[0] };
   }
 
   /** Where the selected cell, or start, is on this plane. */
-  placeOf({ gamma, omega, xi, direction }) {
-    return isClose(xi, this.xi) && direction === (this.ramp ?? direction) && [gamma, omega];
+  positionOf({ gamma, omega, xi, direction }) {
+    return isClose(xi, this.xi) && direction === (this.loadedDirection ?? direction) && [gamma, omega];
   }
 
-  /** Rings around the selected cell and the current one. */
   drawCursor(ctx, box) {
     const selected = this.selected();
-    const place = selected && this.placeOf(selected);
-    if (place) drawRing(ctx, box, ...place, 9);
+    const position = selected && this.positionOf(selected);
+    if (position) drawRing(ctx, box, ...position, 9);
     if (this.current) drawRing(ctx, box, ...this.at(this.current), 6);
   }
 
@@ -110,7 +104,6 @@ export function hatchAt(x, y, rises = true) {
   return line < 2 ? line : -1;
 }
 
-/** Hatched cells in a plot's legend. */
 export function hatchSymbol(ctx, x, y, theme) {
   for (const left of [x, x + 8, x + 16]) polyline(ctx, theme.text, 1.6, [[left, y + 6], [left + 8, y - 6]]);
 }
@@ -148,10 +141,8 @@ export class ClassLegend {
   }
 }
 
-/** An entry of a legend: a colour and what it stands for. */
 export const legendEntry = (colour, ...texts) => h("li", {}, swatch(colour), h("div", {}, texts));
 
-/** A square of a colour. */
 export function swatch(colour) {
   const element = h("span", { className: "swatch", "aria-hidden": "true" });
   element.style.background = colour;

@@ -2,10 +2,10 @@
 
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { SYMBOL, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
+import { numberIn } from "../lib/format.js";
+import { SYMBOL, axisText, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
 
-/** Sliders along `axes` of a view's grid but its own. Axes of one value have none: the plot's title shows their value. */
+/** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
 export function sliders(view, axes) {
   if (view.isFollower) return false;
   const movable = axes.filter((axis) => view.valuesOf(axis).length > 1);
@@ -16,10 +16,11 @@ function slider(view, axis) {
   const values = view.valuesOf(axis);
   const id = `slider-${axis}`;
   const typed = h("input", {
-    type: "text", inputmode: "decimal", size: 5, "aria-label": `Value of ${SYMBOL[axis]}`,
+    type: "text", inputmode: "decimal", size: 1, "aria-label": `Value of ${SYMBOL[axis]}`,
     onchange: () => {
       const value = typedIn(typed);
-      if (value !== null) setQuery({ [axis]: addressValue(view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)]) });
+      const nearest = view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)];
+      if (value !== null) setQuery({ [axis]: addressValue(nearest) });
     },
   });
   const input = h("input", {
@@ -29,9 +30,10 @@ function slider(view, axis) {
   const show = () => {
     const value = view.place[axis];
     input.value = String(nearestIndex(values, value));
-    typed.value = number(value);
+    typed.value = axisText(value, values);
+    typed.style.minWidth = `calc(${typed.value.length}ch + .9rem)`;
     typed.setCustomValidity("");
-    input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${number(value)}`);
+    input.setAttribute("aria-valuetext", `${SYMBOL[axis]} = ${typed.value}`);
     element.hidden = axis === view.along;
   };
   const element = h("div", { className: "slider" }, h("label", { for: id }, h("i", {}, SYMBOL[axis]), " ="), typed, input);
@@ -41,16 +43,17 @@ function slider(view, axis) {
 }
 
 /** The number from `min` to `max` that the address has as `name`; `otherwise` where it has none. */
-export function given(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {
+export function queryNumber(name, otherwise, { min = 0, max = Number.MAX_VALUE } = {}) {
   const value = Number(currentQuery()[name] || NaN);
   return value >= min && value <= max ? value : otherwise;
 }
 
 /** The number from `min` to `max` that was typed; null of another text, and the input says why. */
 function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
-  const text = input.value.trim().replace("−", "-");
-  const value = text ? Number(text) : NaN;
-  const limits = max < Infinity ? ` from ${min} to ${max}` : min > -Infinity ? ` of ${min} or more` : "";
+  const text = input.value.trim().replaceAll("−", "-");
+  const value = numberIn(text);
+  const lowest = min > -Infinity ? ` of ${min} or more` : "";
+  const limits = max < Infinity ? ` from ${min} to ${max}` : lowest;
   const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
   input.setCustomValidity(Number.isFinite(value) && value >= min && value <= max ? "" : rule);
   return input.reportValidity() ? value : null;
@@ -58,7 +61,7 @@ function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
 
 /** An input for such a number. */
 export const numberInput = (label, name, otherwise, limits = {}, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
-  type: "text", inputmode: "decimal", value: given(name, otherwise, limits), ...attributes,
+  type: "text", inputmode: "decimal", value: queryNumber(name, otherwise, limits), ...attributes,
   onchange: ({ target }) => {
     const value = typedIn(target, { min: 0, ...limits });
     if (value !== null) setQuery({ [name]: value === otherwise ? null : value });
@@ -66,7 +69,7 @@ export const numberInput = (label, name, otherwise, limits = {}, attributes = {}
 }));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
-export const minFlightOf = ({ spec }) => given("min", spec.micro_flight);
+export const minFlightOf = ({ spec }) => queryNumber("min", spec.micro_flight);
 
 /** Which flights count, for points and modes alike. */
 export const minFlightInput = ({ spec }) => numberInput("Count flights above, rad", "min", spec.micro_flight, {}, {

@@ -21,7 +21,7 @@ export class CyclesView extends PlotView {
 
   build(root, parts) {
     const events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
-    super.build(root, { label: "Flight times of the cycles over Γ", tables: [events], ...parts });
+    super.build(root, { label: "Flight times of the cycles over Γ", below: [events], ...parts });
   }
 
   read([result]) {
@@ -45,7 +45,7 @@ export class CyclesView extends PlotView {
     const { omega, xi } = this;
     return {
       ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
-      title: `Ω = ${number(omega)},   ξ = ${number(xi)}`,
+      title: this.textOf({ omega, xi }),
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
@@ -74,9 +74,11 @@ export class CyclesView extends PlotView {
     const from = current?.sought ?? current?.gamma ?? this.place.gamma ?? this.maxGamma / 2;
     const gamma = clamp(from + STEP * right, STEP, this.maxGamma);
     const cycles = cyclesAt(this.branches, gamma);
-    const away = ({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0));
-    const at = cycles.indexOf(cycles.toSorted((a, b) => away(a) - away(b))[0]);
-    return { gamma, ...(current?.periods || up ? cycles[clamp(at + (current?.periods ? Math.sign(up) : 0), 0, cycles.length - 1)] : null), sought: gamma };
+    const distance = ({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0));
+    const nearest = cycles.indexOf(cycles.toSorted((a, b) => distance(a) - distance(b))[0]);
+    const isOnCycle = Boolean(current?.periods);
+    const next = clamp(nearest + (isOnCycle ? Math.sign(up) : 0), 0, cycles.length - 1);
+    return { gamma, ...(isOnCycle || up ? cycles[next] : null), sought: gamma };
   }
 
   at({ gamma, flight_time: time }) {

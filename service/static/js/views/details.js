@@ -6,10 +6,11 @@ import { partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
 import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, wholeSweep } from "../lib/downloads.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
-import { isSweep } from "../lib/physics.js";
+import { axisText, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
 import { sharedPage } from "./measured.js";
+import { sourceOf } from "./plot-view.js";
 
 export class Details {
   constructor(root, { sources: [{ job }], signal }) {
@@ -42,20 +43,21 @@ export class Details {
   }
 }
 
-/** Rows of a table: [title, text]. */
 function origin(job, software) {
   const { progress } = job;
-  const seconds = job.started && job.finished ? (new Date(job.finished) - new Date(job.started)) / 1000 : null;
-  const cells = progress.cells_computed === null ? plural(progress.cells_done, "cell") : `${count(progress.cells_computed)} of ${plural(progress.cells_done, "cell")}`;
-  const each = job.core_seconds && progress.cells_done ? `, ${number((1000 * job.core_seconds) / (progress.cells_computed ?? progress.cells_done), 3)} ms per cell` : "";
+  const elapsed = job.started && job.finished ? `, after ${duration((new Date(job.finished) - new Date(job.started)) / 1000)}` : "";
+  const isAdaptive = progress.cells_computed !== null;
+  const cells = `${isAdaptive ? `${count(progress.cells_computed)} of ` : ""}${plural(progress.cells_done, "cell")}`;
+  const milliseconds = (1000 * job.core_seconds) / (progress.cells_computed ?? progress.cells_done);
+  const perCell = progress.cells_done ? `, ${number(milliseconds, 3)} ms per cell` : "";
   return [
     ["Job", h("code", {}, job.id)],
     job.owner && ["Submitted by", job.owner],
     job.created && ["Submitted", time(job.created)],
     job.started && ["Started", time(job.started)],
-    job.finished && ["Finished", `${time(job.finished)}${seconds === null ? "" : `, after ${duration(seconds)}`}`],
+    job.finished && ["Finished", time(job.finished) + elapsed],
     ["Computed", `${cells} in ${count(progress.chunks_done)} of ${plural(progress.chunks_total, "chunk")}`],
-    ["Core-seconds", job.core_seconds ? `${number(job.core_seconds, 4)}${each}` : "not known"],
+    ["Core-seconds", job.core_seconds ? number(job.core_seconds, 4) + perCell : "not known"],
     ["Kernel version", job.kernel_version],
     software && ["This service", `bouncing-spring ${software.release}, kernel version ${software.kernel_version}`],
     software && ["Software", [`Python ${software.python}`, ...Object.entries(software.libraries).map(([name, version]) => `${name} ${version}`)].join(", ")],
@@ -82,36 +84,37 @@ function selection({ model, reason, tolerance, table: rows }) {
 
 /** A button that has workers audit the job: how many of its cells a longer computation would change. */
 function auditOf(job) {
-  const [problem, found] = [problemLine(), h("div", {})];
+  const [problem, answer] = [problemLine(), h("div", {})];
   const audit = async () => {
     problem.show(null);
     const result = await requestDataset(`/v1/jobs/${job.id}/audit`);
     const { sentence } = result.attrs;
-    found.replaceChildren(h("p", {}, `${sentence[0].toUpperCase()}${sentence.slice(1)}.`), questions(result), changed(job, result));
+    answer.replaceChildren(h("p", {}, `${sentence[0].toUpperCase()}${sentence.slice(1)}.`), questionTable(result), changedCells(job, result));
     announce(sentence);
   };
   return h("section", {},
     h("h2", {}, "Audit"),
     h("p", {}, "Random cells are computed again so that they can be trusted: how many of all cells would change, at most?"),
-    h("p", {}, workButton("Audit this sweep", audit, problem.show, { busy: "Auditing …" })), problem.element, found);
+    h("p", {}, workButton("Audit this sweep", audit, problem.show, { busy: "Auditing …" })), problem.element, answer);
 }
 
-function questions(audit) {
-  const contacts = audit.against.data instanceof Array ? audit.against.data : [audit.against.data];
-  const asked = audit.question.data;
-  const rows = contacts.flatMap((against, k) => asked.map((question, i) => ({ against, question, at: k * asked.length + i })));
-  const cells = ({ at }) => [...["sampled", "changed", "undecided"].map((name) => String(audit[name].data[at])), ...["share", "low", "high"].map((name) => share(audit[name].data[at]))];
+/** The shares that changed, by question and, where there are several, by the contact that the reference has. */
+function questionTable(audit) {
+  const contacts = [audit.against.data].flat();
+  const titles = contacts.flatMap((against) => audit.question.data.map((question) => (contacts.length > 1 ? `${question} (${against})` : question)));
+  const texts = (names, text, i) => names.map((name) => text(audit[name].data[i]));
+  const rows = titles.map((title, i) => [title, ...texts(["sampled", "changed", "undecided"], String, i), ...texts(["share", "low", "high"], share, i)]);
   return table("Audit by question", ["question", "drawn", "changed", "undecided", "share", "at least", "at most"],
-    rows.filter(({ at }) => audit.sampled.data[at] > 0).map((row) => [contacts.length > 1 ? `${row.question} (${row.against})` : row.question, ...cells(row)]));
+    rows.filter((_, i) => audit.sampled.data[i] > 0));
 }
 
-function changed(job, audit) {
-  const cells = partsOf(audit, "cell");
+function changedCells(job, audit) {
+  const [cells, { grid }] = [partsOf(audit, "cell"), sourceOf(job)];
   if (!cells.length) return h("p", {}, "No cell looked at has changed.");
   return h("details", {},
     h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
-    h("ul", {}, cells.map((cell) => h("li", {},
-      h("a", { href: link(["job", job.id, "diagram"], { cell: [cell.cell_gamma, cell.cell_omega, cell.cell_xi, cell.cell_direction].join(",") }) },
-        `Γ = ${number(cell.cell_gamma)}, Ω = ${number(cell.cell_omega)}, ξ = ${number(cell.cell_xi)}`),
+    h("ul", {}, cells.map(({ cell_gamma: gamma, cell_omega: omega, cell_xi: xi, ...cell }) => h("li", {},
+      h("a", { href: link(["job", job.id, "diagram"], { cell: [gamma, omega, xi, cell.cell_direction].join(",") }) },
+        `Γ = ${axisText(gamma, grid.gamma)}, Ω = ${axisText(omega, grid.omega)}, ξ = ${axisText(xi, grid.xi)}`),
       `: ${cell.cell_stored}, by the reference ${cell.cell_reference}${cell.cell_undecided ? " (undecided)" : ""}`))));
 }

@@ -4,8 +4,8 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
-import { branchColour, modeClasses, modeColour, theme } from "../plot/colours.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
@@ -23,37 +23,41 @@ const MAX_LISTED = 6; // flights listed one by one
 const STRIP = 8; // px, of the modes of a line
 const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
-/** Cells are {line, cell}: a line of `lines` and an index into its values; or cycles. */
+/** Cells are {line, cell, source}: a line of `lines`, an index into its values, and its source; or cycles. */
 export class Diagram extends PlotView {
   lines = []; // one per source and shown direction
 
   constructor(root, view) {
     super(view);
     this.axes = AXES.filter((axis) => this.grid[axis].length > 1);
-    this.closedForm = !this.isCompared && hasCycles(this.job) && branchesOver(this);
+    this.overlay = !this.isCompared && hasCycles(this.job) ? branchesOver(this) : null;
     this.measured = this.isCompared || this.isBeside ? null : new MeasuredPoints(this, "flight_time");
     this.caption = h("input", { type: "checkbox", checked: true });
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
+    const diagrams = this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]);
     const setAxis = (along) => setQuery({ along, ...windowQuery(null) });
-    const controls = h("div", { className: "controls" },
-      this.axes.length > 1 && !this.isFollower && choice("Diagram", this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]), this.along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true }),
-      sliders(this, AXES));
+    const axis = choice("Diagram", diagrams, this.along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true });
+    const controls = h("div", { className: "controls" }, this.axes.length > 1 && !this.isFollower && axis, sliders(this, AXES));
     const options = h("div", { className: "controls" },
       this.directions.length > 1 && !this.isCompared && this.#directionBoxes(),
-      this.closedForm && this.closedForm.element,
+      this.overlay?.element,
       !this.isCompared && !this.isFollower && minFlightInput(this.job));
-    this.build(root, { controls, shown: this.isCompared ? [options] : [options, this.legend.element], tables: this.isCompared ? [] : [h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption")], label: `Bifurcation diagram${this.isCompared ? "s" : ` of ${titleOf(this.job)}`}`, hint: HINT });
+    const captioned = h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption");
+    const ofSweep = { shown: [options, this.legend.element], below: [captioned], label: `Bifurcation diagram of ${titleOf(this.job)}` };
+    this.build(root, { controls, hint: HINT, ...(this.isCompared ? { shown: [options], label: "Bifurcation diagrams" } : ofSweep) });
     if (!this.job.spec.exponents || this.isCompared) return;
-    this.exponents = new Plot(this.plot.element.parentElement, { signal: this.signal, takesInput: false, label: "Largest Lyapunov exponent", content: () => (this.isLoaded && this.plot.box ? this.#exponents() : null) });
+    const content = () => (this.isLoaded && this.plot.box ? this.#exponents() : null);
+    this.exponents = new Plot(this.plot.element.parentElement, { signal: this.signal, takesInput: false, label: "Largest Lyapunov exponent", content });
     this.plot.element.addEventListener("drawn", () => this.exponents.draw());
   }
 
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #exponents() {
     const { left, width, x } = this.plot.box;
-    const points = this.lines.map((line) => Array.from(line.values, (value, cell) => [value, exponentOf(line, cell)]).filter(([, exponent]) => Number.isFinite(exponent)));
-    const values = points.flat().map(([, exponent]) => exponent);
-    const [low, high] = [Math.min(0, ...values), Math.max(0, ...values)];
+    const pointsOf = (line) => Array.from(line.values, (value, cell) => ({ line, value, exponent: exponentOf(line, cell) }));
+    const points = this.lines.flatMap(pointsOf).filter(({ exponent }) => Number.isFinite(exponent));
+    const exponents = points.map(({ exponent }) => exponent);
+    const [low, high] = [Math.min(0, ...exponents), Math.max(0, ...exponents)];
     const margin = 0.08 * (high - low) || 0.1;
     return {
       margins: [left, this.plot.element.clientWidth - left - width],
@@ -61,7 +65,7 @@ export class Diagram extends PlotView {
       y: { label: "λ₁", low: low - margin, high: high + margin },
       layers: [
         (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.left, box.y.pixel(0)], [box.left + box.width, box.y.pixel(0)]]),
-        (ctx, box) => points.forEach((line, i) => line.forEach(([value, exponent]) => disc(ctx, this.#colour(this.lines[i], box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4))),
+        (ctx, box) => points.forEach(({ line, value, exponent }) => disc(ctx, this.#colour(line, box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4)),
       ],
     };
   }
@@ -81,7 +85,6 @@ export class Diagram extends PlotView {
     return [this.along];
   }
 
-  /** Beside a map, its window along Γ. */
   get window() {
     const window = super.window;
     return this.isBeside && window ? { ...this.whole(), x0: window.x0, x1: window.x1 } : window;
@@ -97,7 +100,6 @@ export class Diagram extends PlotView {
       this.directions.map((direction, i) => h("label", { className: `direction ${direction}` }, boxes[i], ` ${direction}`)));
   }
 
-  /** The directions of a source that are shown. */
   #shownOf({ directions }) {
     const { show } = currentQuery();
     return directions.filter((direction) => directions.length === 1 || !show || show.split(",").includes(direction));
@@ -130,12 +132,16 @@ export class Diagram extends PlotView {
     });
     const joined = (name) => this.lines.flatMap((line) => Array.from(line[name] ?? line.outcome));
     this.classes = modeClasses({ label: joined("label"), bounces: joined("bounces"), periods: joined("periods") });
-    this.lines.reduce((first, line) => first + (line.classes = this.classes.ofCell.subarray(first, first + line.values.length)).length, 0);
-    this.closedForm?.update?.();
+    let first = 0;
+    for (const line of this.lines) {
+      line.classes = this.classes.ofCell.subarray(first, first + line.values.length);
+      first += line.values.length;
+    }
+    this.overlay?.update();
   }
 
   get cycles() {
-    return this.closedForm && this.lines[0]?.along === "gamma" ? this.closedForm.data : null;
+    return this.overlay && this.lines[0]?.along === "gamma" ? this.overlay.data : null;
   }
 
   whole() {
@@ -150,13 +156,14 @@ export class Diagram extends PlotView {
   content() {
     const { lines, cycles } = this;
     const { along, fixed } = lines[0] ?? this;
+    const hasThreshold = along === "gamma" && fixed && !this.isCompared;
     return {
       ...this.scales(this.axisOf(along), FLIGHT_AXIS),
       title: this.#title(),
       legend: [...this.#legend(), ...(cycles ? branchLegend() : [])],
       message: emptyMessage(lines),
       layers: [
-        (ctx, box) => along === "gamma" && fixed && !this.isCompared && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi), lines.length * (STRIP + 1)),
+        (ctx, box) => hasThreshold && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi), lines.length * (STRIP + 1)),
         (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
         (ctx, box) => this.measured?.draw(ctx, box),
@@ -166,7 +173,6 @@ export class Diagram extends PlotView {
     };
   }
 
-  /** The lines without the flights of hidden modes. */
   #visibleLines() {
     const { hidden } = this.legend;
     if (!hidden.size || this.isCompared) return this.lines;
@@ -188,20 +194,21 @@ export class Diagram extends PlotView {
   #title() {
     const [line] = this.lines;
     if (!line) return "";
-    const fixed = this.#fixed(true).map((axis) => valueText(axis, line)).join(",   ");
+    const fixed = this.textOf(Object.fromEntries(this.#fixed(true).map((axis) => [axis, line.fixed[axis]])));
     if (this.isCompared) return fixed;
     const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
     const computed = line.computed ? `,   ${line.computed.reduce((sum, value) => sum + value, 0)} of ${line.computed.length} cells computed` : "";
     return this.prefix + fixed + thinned + computed;
   }
 
-  /** The directions of a ramp, or the sweeps. */
   #legend() {
     const several = this.lines.length ? this.#fixed(false) : [];
+    const nameOf = ({ source, fixed }) => [shortened(titleOf(source.job)), ...several.map((axis) => this.textOf({ [axis]: fixed[axis] }))].join(", ");
     const entries = this.isCompared
-      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [sweepText(line, several), line])
+      ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [nameOf(line), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
-    return entries.length < 2 && (this.isCompared || this.directions[0] === "rest") ? [] : entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
+    if (entries.length < 2 && (this.isCompared || this.directions[0] === "rest")) return [];
+    return entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
   }
 
   #drawCursor(ctx, box) {
@@ -213,18 +220,17 @@ export class Diagram extends PlotView {
 
   /** The colour of a direction; of several sweeps, each has a colour of its own. */
   #colour({ source = this.source, direction }, theme) {
-    return this.isCompared ? branchColour(source.number, theme.dark) : theme[direction];
+    return this.isCompared ? numberedColour(source.number, theme.dark) : theme[direction];
   }
 
-  /** The selected cell if it lies on a shown line. */
   #selectedOnLines() {
     const cell = this.selected();
-    const contains = ({ direction, fixed }) => direction === cell.direction && Object.entries(fixed).every(([axis, value]) => isClose(value, cell[axis]));
-    return cell && this.lines.some(contains) ? cell : null;
+    const isAt = (fixed) => Object.entries(fixed).every(([axis, value]) => isClose(value, cell[axis]));
+    return cell && this.lines.some(({ direction, fixed }) => direction === cell.direction && isAt(fixed)) ? cell : null;
   }
 
   #cell(line, cell) {
-    return { line, cell: clampIndex(cell, line.values.length) };
+    return { line, cell: clampIndex(cell, line.values.length), source: line.source };
   }
 
   /** The cycle next to (x, y), or the cell at x; of several lines, the one with a flight nearest to y. */
@@ -237,26 +243,27 @@ export class Diagram extends PlotView {
   }
 
   cellsShown() {
-    return this.lines.flatMap((line) => Array.from(line.values.keys(), (cell) => ({ line, cell }))).filter(({ line, cell }) => this.isVisible(line.values[cell]) && !this.legend.hidden.has(line.classes[cell]));
+    const all = this.lines.flatMap((line) => Array.from(line.values.keys(), (cell) => ({ line, cell })));
+    return all.filter(({ line, cell }) => this.isVisible(line.values[cell]) && !this.legend.hidden.has(line.classes[cell]));
   }
 
   columnsOfTable() {
     const [first] = this.lines;
     return [
-      [SYMBOL[this.along], ({ line, cell }) => number(line.values[cell])],
+      axisColumn(SYMBOL[this.along], this.grid[this.along], ({ line, cell }) => line.values[cell]),
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
-      ...(first ? this.#fixed(false).map((axis) => [SYMBOL[axis], ({ line }) => number(line.fixed[axis])]) : []),
+      ...(first ? this.#fixed(false).map((axis) => axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis])) : []),
       ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
       ...cellColumns(first ?? {}, ({ line, cell }) => [line, cell]),
       ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
     ];
   }
 
-  /** Up and down switch between the lines. */
   step(current, right, up) {
     if (!this.lines.length) return null;
     if (!current?.line) return this.#cell(this.lines[0], this.lines[0].values.length >> 1);
-    return this.#cell(up ? (this.lines.find((line) => line !== current.line) ?? current.line) : current.line, current.cell + right);
+    const other = up ? this.lines.find((line) => line !== current.line) : null;
+    return this.#cell(other ?? current.line, current.cell + right);
   }
 
   at({ line, cell, gamma, flight_time: time }) {
@@ -268,10 +275,6 @@ export class Diagram extends PlotView {
     return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
   }
 
-  sourceOf({ line }) {
-    return line?.source ?? this.source;
-  }
-
   /** The current cell; of compared sweeps, the cells of all there. */
   #atCurrent() {
     const { line, cell } = this.current;
@@ -281,7 +284,7 @@ export class Diagram extends PlotView {
   describe(cell) {
     if (cell.periods) return `${describeCycle(cell)} · press to see it move`;
     if (!this.isCompared) return super.describe(cell);
-    return this.#atCurrent().map((each) => h("span", { className: "entry" }, swatch(this.#colour(each.line, theme())), `${super.describe(each)} `));
+    return this.#atCurrent().map((entry) => h("span", { className: "entry" }, swatch(this.#colour(entry.line, theme())), `${super.describe(entry)} `));
   }
 }
 
@@ -327,7 +330,6 @@ export function drawThreshold(ctx, box, gamma, below = 0) {
   box.texts.push({ ...letter, text: "Γ", size: 15, italic: true }, { ...letter, text: "th", size: 11, x: letter.x + 11, y: letter.y + 5 });
 }
 
-/** At the cell whose trajectory is shown a triangle on the axis, and a line, as the trajectory covers the axis. */
 function drawSelected(ctx, box, value, colour) {
   const [x, bottom] = [box.x.pixel(value), box.top + box.height];
   verticalLine(ctx, box, x, colour, 1, [2, 3]);
@@ -336,13 +338,6 @@ function drawSelected(ctx, box, value, colour) {
 
 /** The distinct flight times of one cell, shortest first. */
 const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
-
-/** The first flight times of a list, or the whole list. */
-const flightsText = (times, whole) => `${times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ")}${!whole && times.length > MAX_LISTED ? " …" : ""}`;
-
-const valueText = (axis, { fixed }) => `${SYMBOL[axis]} = ${number(fixed[axis])}`;
-
-/** The name of a line's sweep, shortened, with its values of some axes. */
-const sweepText = (line, axes) => [shortened(titleOf(line.source.job)), ...axes.map((axis) => valueText(axis, line))].join(", ");
+const flightsText = (times, whole) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

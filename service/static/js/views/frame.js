@@ -2,15 +2,14 @@
 
 import { h } from "../lib/dom.js";
 
-/** Build it in `root` from the contents of the bar and the line, and an element with tabs; its other parts are returned empty. */
+/** Build it in `root` from the contents of the bar and the line, an element for a problem and one with tabs; the rest is filled later. */
 export function buildFrame(root, { bar, line, tabs = false, problem = false }) {
-  const part = (tag, className, attributes) => h(tag, { className, ...attributes });
-  const parts = {
-    controls: part("div", "view-controls"), panel: part("section", "panel"), second: part("section", "beside", { hidden: true }),
-    aside: part("section", "trajectory", { "aria-label": "Trajectory of a cell", hidden: true }),
-  };
+  const controls = h("div", { className: "view-controls" });
+  const panel = h("section", { className: "panel" });
+  const secondPanel = h("section", { className: "beside", hidden: true });
+  const trajectorySection = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
   document.getElementById("bar").replaceChildren(...bar);
-  root.replaceChildren(h("header", { className: "job" }, line), ...(problem ? [problem] : []), h("div", { className: "views" }, tabs, parts.controls),
-    h("div", { className: "panels" }, parts.panel, parts.second), parts.aside);
-  return parts;
+  root.replaceChildren(h("header", { className: "job" }, line), ...(problem ? [problem] : []), h("div", { className: "views" }, tabs, controls),
+    h("div", { className: "panels" }, panel, secondPanel), trajectorySection);
+  return { controls, panel, secondPanel, trajectorySection };
 }

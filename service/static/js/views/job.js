@@ -1,6 +1,6 @@
 // One sweep: its progress, a tab each for diagram, mode map, thresholds and details, and a selected cell's trajectory.
 
-import { addressValue, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
+import { addressValue, cellIn, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { requestJson, shared } from "../lib/api.js";
 import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
@@ -32,24 +32,21 @@ export class JobView {
   constructor(root, { path }, signal) {
     Object.assign(this, { root, signal, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
-    this.summary = new JobSummary(this.heading, {
-      change: (job) => this.#onChange(job), delete: () => navigate([]), error: (error) => this.#failed(error),
-    });
+    const failed = (error) => this.#failed(error);
+    this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => navigate([]), error: failed });
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
-    this.rename = workButton("✎", () => this.#rename(), (error) => this.#failed(error), { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
-    this.duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
-    Object.assign(this, buildFrame(root, {
-      bar: [this.heading, this.summary.progress, this.duplicate, this.rename, this.summary.actions], line: [this.summary.about, this.summary.notice, this.settling],
-      tabs: this.tabs, problem: this.problem.element,
-    }));
-    this.trajectory = new TrajectoryPanel(this.aside, signal, () => this.#closeTrajectory());
+    const rename = workButton("✎", () => this.#rename(), failed, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
+    const duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
+    const { progress, actions, about, notice } = this.summary;
+    const [bar, line] = [[this.heading, progress, h("div", { className: "actions" }, duplicate, rename, actions)], [about, notice, this.settling]];
+    Object.assign(this, buildFrame(root, { bar, line, tabs: this.tabs, problem: this.problem.element }));
+    this.trajectory = new TrajectoryPanel(this.trajectorySection, signal, () => this.#closeTrajectory());
     addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal });
     this.#poll(true);
   }
 
-  /** Show the tab and the cell that the address names. */
   show() {
     if (!this.job) return; // the first poll shows it
     this.#showTab();
@@ -121,10 +118,7 @@ export class JobView {
   }
 
   #onChange(job) {
-    if (job.id !== this.id) {
-      navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
-      return;
-    }
+    if (job.id !== this.id) return navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
     Object.assign(this.job, job);
     this.#describe();
     this.#pollAfter(POLL_MS / 2);
@@ -150,10 +144,11 @@ export class JobView {
     this.controls.replaceChildren();
     this.#describe(); // the problem of another tab is over
     const [, View] = tabs[current];
-    const common = { sources: [sourceOf(this.job)], signal: AbortSignal.any([this.signal, this.leaving.signal]), onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
+    const signal = AbortSignal.any([this.signal, this.leaving.signal]);
+    const common = { sources: [sourceOf(this.job)], signal, onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
     const isBeside = current === "modes" && WIDE.matches; // the diagram at the Ω under the pointer
-    this.second.hidden = !isBeside;
-    this.beside = isBeside ? new Diagram(this.second, { ...common, isBeside, isFollower: true }) : null;
+    this.secondPanel.hidden = !isBeside;
+    this.beside = isBeside ? new Diagram(this.secondPanel, { ...common, isBeside, isFollower: true }) : null;
     this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
   }
 
@@ -163,7 +158,6 @@ export class JobView {
     this.beside.follow(gamma, 0);
   }
 
-  /** The views of this kind of study. */
   #tabs() {
     const { spec } = this.job;
     const { gamma, omega } = sourceOf(this.job).grid;
@@ -179,13 +173,11 @@ export class JobView {
     if (shared) return; // nothing computes its motion
     setQuery(cellQuery(cell));
     this.#showSelectedCell();
-    if (matchMedia("(max-width: 60rem)").matches) this.aside.scrollIntoView({ behavior: "smooth", block: "nearest" }); // below the plot
+    if (matchMedia("(max-width: 60rem)").matches) this.trajectorySection.scrollIntoView({ behavior: "smooth", block: "nearest" }); // below the plot
   }
 
   #showSelectedCell() {
-    const parts = (currentQuery().cell ?? "").split(",");
-    const [gamma, omega, xi] = parts.map(Number);
-    this.cell = parts.length === 4 && [gamma, omega, xi].every(Number.isFinite) ? { gamma, omega, xi, direction: parts[3] } : null;
+    this.cell = cellIn(currentQuery());
     if (this.cell) this.trajectory.show(this.job, this.cell);
     else this.trajectory.hide();
     [this.view, this.beside].forEach((view) => view?.plot?.redraw());

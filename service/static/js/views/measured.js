@@ -1,7 +1,7 @@
 // Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on the page, drawn above what is computed.
 
 import { requestBlob } from "../lib/api.js";
-import { announce, h, problemLine } from "../lib/dom.js";
+import { announce, button, h, problemLine } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { count, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, TWO_PI, initialValue } from "../lib/physics.js";
@@ -17,7 +17,7 @@ const RULE = "commas separate columns, points decimals";
 /** The files that were dropped, until the page is left: {name, text, value, rows} by job and value. */
 const kept = new Map();
 /** Those of a shared file, [{name, text, value}, …]. */
-const GIVEN = JSON.parse(document.getElementById("measured")?.textContent ?? "[]");
+const SHARED_FILES = JSON.parse(document.getElementById("measured")?.textContent ?? "[]");
 
 /** The download of a sweep as a page to share, with what was dropped on its plots. */
 export const sharedPage = (job) => ["a page to share", () => fileName(job, "sweep", "html"), async () => {
@@ -26,22 +26,19 @@ export const sharedPage = (job) => ["a page to share", () => fileName(job, "swee
   return files.length ? new Blob([page, `<script type="application/json" id="measured">${JSON.stringify(files).replaceAll("<", "\\u003c")}</script>`]) : page;
 }];
 
-/**
- * The points on the plot of a view, of a `value`: "flight_time" in rad, or "gamma". Columns and rules are those of
- * service/client/measured.py. The view has the axis `along`, and computed(): a function from a value of it to those computed.
- */
+/** The points on the plot of a view, of a `value`: "flight_time" in rad, or "gamma". Columns and rules are those of
+ * service/client/measured.py. The view has the axis `along`, and computed(): a function from a value of it to those computed. */
 export class MeasuredPoints {
   constructor(view, value) {
     Object.assign(this, { view, value, key: `${view.job.id} ${value}` });
     this.problem = problemLine();
     this.text = h("span", {});
-    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", h("button", { type: "button", className: "link", onclick: () => this.#keep(null) }, "remove"));
+    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#keep(null), { className: "link" }));
     this.element = h("div", {}, this.problem.element, this.line);
-    const given = GIVEN.find((file) => file.value === value);
-    if (given && !kept.has(this.key)) this.take({ ...given, text: () => given.text });
+    const file = SHARED_FILES.find((shared) => shared.value === value);
+    if (file && !kept.has(this.key)) this.take({ ...file, text: () => file.text });
   }
 
-  /** Take a file that was dropped. */
   async take(file) {
     try {
       const text = await file.text();
@@ -71,19 +68,17 @@ export class MeasuredPoints {
     return AXES.filter((axis) => axis !== this.view.along && axis !== this.value);
   }
 
-  /** The highest of the points from `low` to `high` on the axis. */
   highest(low, high) {
     return Math.max(0, ...this.points.filter(({ x }) => x >= low && x <= high).map(({ y }) => y));
   }
 
-  /** Say how far the points are from what is shown beside them. */
   update() {
     const { points, view } = this;
     this.line.hidden = !kept.has(this.key);
     if (this.line.hidden) return;
     const [borders, computedAt] = [cellBorders(view.grid[view.along]), view.computed()];
-    const distance = ({ x, y }) => Math.min(...(x < borders[0] || x > borders.at(-1) ? [] : computedAt(x)).map((value) => Math.abs(value - y)));
-    const distances = points.map(distance).filter(Number.isFinite).sort((a, b) => a - b);
+    const distance = ({ x, y }) => Math.min(...computedAt(x).map((value) => Math.abs(value - y)));
+    const distances = points.filter(({ x }) => x >= borders[0] && x <= borders.at(-1)).map(distance).filter(Number.isFinite).sort((a, b) => a - b);
     const median = (distances[(distances.length - 1) >> 1] + distances[distances.length >> 1]) / 2;
     const unit = this.value === "gamma" ? "" : " rad";
     const residual = distances.length ? `, median residual ${number(median, 2)}${unit}, largest ${number(distances.at(-1), 2)}${unit}` : "";

@@ -3,16 +3,16 @@
 import { currentQuery, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
-import { number, share } from "../lib/format.js";
+import { share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, nearestIndex, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
-import { polyline, rgba32 } from "../plot/drawing.js";
+import { CURVE_DASH, legendLine, polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { UNFINISHED, titleOf } from "./progress.js";
 
+const COLOURS = [["mode", "modes"], ["multiplier", "margin of stability |μ|"]];
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom. Modes are (bounces, plate periods).";
-const DASH = [7, 4];
 
 export class Modes extends PlaneView {
   name = "modes";
@@ -24,6 +24,7 @@ export class Modes extends PlaneView {
     this.isTwoWay = this.directions.length > 1;
     const isFirst = (has) => this.compared.find(has) === this.source; // a control acts on the maps of all compared sweeps
     const canHatch = isFirst(({ directions }) => directions.length > 1);
+    const setColour = (color) => setQuery({ color: color === "mode" ? null : color });
     const hatches = h("input", { type: "checkbox", checked: this.showsHysteresis, onchange: () => setQuery({ hatch: hatches.checked ? null : 0 }) });
     this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
@@ -31,7 +32,7 @@ export class Modes extends PlaneView {
     this.build(root, {
       controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
         canHatch && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
-        isFirst(({ job }) => certifies(job.spec)) && choice("Colour", [["mode", "modes"], ["multiplier", "margin of stability |μ|"]], this.color, (color) => setQuery({ color: color === "mode" ? null : color }), { "data-service": true })),
+        isFirst(({ job }) => certifies(job.spec)) && choice("Colour", COLOURS, this.color, setColour, { "data-service": true })),
       label: `Mode map of ${titleOf(this.job)}`, hint: HINT,
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
         canHatch && h("label", { className: "option" }, hatches, " Hatch where up and down differ"),
@@ -55,53 +56,53 @@ export class Modes extends PlaneView {
 
   #path(parameters) {
     const { xi } = this.source.grid;
-    const own = { xi: xi[nearestIndex(xi, this.place.xi)], direction: this.direction };
-    return `/v1/jobs/${this.job.id}/modes?${query({ ...own, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis: this.showsHysteresis || null, color: this.color === "mode" ? null : this.color, ...parameters })}`;
+    const plane = { xi: xi[nearestIndex(xi, this.place.xi)], direction: this.direction };
+    return `/v1/jobs/${this.job.id}/modes?${query({ ...plane, min_flight: this.isAdaptive ? null : minFlightOf(this.job), hysteresis: this.showsHysteresis || null, color: this.color === "mode" ? null : this.color, ...parameters })}`;
   }
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
   paths() {
-    return [this.#path(this.isThinned ? this.#part() : {})];
+    return [this.#path(this.isThinned ? this.#windowQuery() : {})];
   }
 
   /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
-    return this.#path({ ...this.#part(), log: this.log, hide: this.legend.query });
+    return this.#path({ ...this.#windowQuery(), log: this.log, hide: this.legend.query });
   }
 
-  #part() {
+  #windowQuery() {
     const { x0, x1, y0, y1 } = this.window ?? {};
     return { gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 };
   }
 
   read([result]) {
-    const data = Object.fromEntries(["outcome", "label", "bounces", "periods", "computed", "hysteresis", "lyapunov", "lyapunov_error", "multiplier", "flight_error"].map((name) => [name, result[name]?.data]));
-    Object.assign(this, { cells: data, attrs: result.attrs, columns: result.gamma.data, rows: result.omega.data, xi: result.xi.data, ramp: result.direction.data });
-    this.classes = modeClasses(data);
-    this.isPreview = !result.attrs.complete && UNFINISHED.has(this.job.state);
-    this.painted = this.isPreview ? nearestComputed(data.outcome, this.columns.length).map((cell) => this.classes.ofCell[cell]) : this.classes.ofCell;
+    const { attrs, dims, ...variables } = result;
+    Object.assign(this, { attrs, cells: Object.fromEntries(Object.entries(variables).map(([name, { data }]) => [name, data])) });
+    [this.columns, this.rows, this.xi, this.loadedDirection] = ["gamma", "omega", "xi", "direction"].map((name) => this.cells[name]);
+    this.classes = modeClasses(this.cells);
+    this.isPreview = !attrs.complete && UNFINISHED.has(this.job.state);
+    this.painted = this.isPreview ? nearestComputed(this.cells.outcome, this.columns.length).map((cell) => this.classes.ofCell[cell]) : this.classes.ofCell;
   }
 
-  /** The colours of the modes, and which cells are left out. */
   showLegend() {
     super.showLegend();
     const { every, computed_share: computed } = this.attrs;
-    const partly = !this.isPreview ? "" : "Cells that are not computed yet have the colour of the nearest one at their Γ. ";
+    const preview = this.isPreview ? "Cells that are not computed yet have the colour of the nearest one at their Γ. " : "";
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
-    this.note.textContent = partly + thinned + (this.isAdaptive
-      ? `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. Of a map 0.3 to 0.5 % too many cells are aperiodic.`
-      : this.#hysteresisText());
+    const adaptive = `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. `
+      + "Of a map 0.3 to 0.5 % too many cells are aperiodic.";
+    this.note.textContent = preview + thinned + (this.isAdaptive ? adaptive : this.#hysteresisText());
   }
 
-  /** In how many of the cells shown up and down differ. */
   #hysteresisText() {
     const { hysteresis } = this.cells;
     if (!hysteresis) return "";
     const differ = (kind) => hysteresis.reduce((sum, value) => sum + (value === kind), 0);
     const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
-    const parts = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
-    return `Hysteresis: going up and down lead ${parts.map(([cells, to]) => `${to} in ${share(cells / hysteresis.length, 2)}`).join(", ")} of the cells shown.`;
+    const kinds = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
+    const shares = kinds.map(([cells, text]) => `${text} in ${share(cells / hysteresis.length, 2)}`).join(", ");
+    return `Hysteresis: going up and down lead ${shares} of the cells shown.`;
   }
 
   whole() {
@@ -112,10 +113,10 @@ export class Modes extends PlaneView {
     const { present } = this.classes;
     return {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
-      title: `${this.prefix}ξ = ${number(this.xi)}${this.isTwoWay ? `, ramp ${this.ramp}` : ""}`,
+      title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
-        ["threshold, Eq. 25", (ctx, x, y, theme) => polyline(ctx, theme.text, 1.8, [[x, y], [x + 24, y]], DASH)],
+        ["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)],
       ],
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => drawThresholdCurve(ctx, box, this.xi)],
@@ -123,7 +124,6 @@ export class Modes extends PlaneView {
     };
   }
 
-  /** The cells in the colours of their classes; hatched where up and down differ. */
   #drawModes(ctx, box) {
     const { computed, hysteresis } = this.cells;
     const colours = new Uint32Array(256);
@@ -145,7 +145,7 @@ export class Modes extends PlaneView {
 
   columnsOfTable() {
     const { hysteresis } = this.cells;
-    const other = this.directions.find((direction) => direction !== this.ramp);
+    const other = this.directions.find((direction) => direction !== this.loadedDirection);
     return [
       ...this.columnsOfPlane(), ...cellColumns(this.cells, (cell) => [this.cells, this.indexOf(cell)]),
       ...(hysteresis ? [[`ramped ${other}`, (cell) => ["", "another mode", "other flights"][hysteresis[this.indexOf(cell)]]]] : []),
@@ -165,7 +165,6 @@ function nearestComputed(outcome, columns) {
   return nearest.map((from, cell) => (from < 0 ? cell : from));
 }
 
-/** The Γ of Eq. 25 over Ω. */
 function drawThresholdCurve(ctx, box, xi) {
   const n = Math.max(2, Math.round(box.height / 2));
   const points = Array.from({ length: n }, (_, i) => {
@@ -173,5 +172,5 @@ function drawThresholdCurve(ctx, box, xi) {
     return [box.x.pixel(threshold(box.y.value(y), xi)), y];
   });
   polyline(ctx, box.theme.surface, 4, points);
-  polyline(ctx, box.theme.text, 1.8, points, DASH);
+  polyline(ctx, box.theme.text, 1.8, points, CURVE_DASH);
 }

@@ -5,8 +5,8 @@ import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { number, plural, share } from "../lib/format.js";
 import { PagedTable } from "../lib/table.js";
-import { TWO_PI, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
-import { COLOURED, branchColour, theme } from "../plot/colours.js";
+import { TWO_PI, axisColumn, axisText, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
+import { COLOURED, numberedColour, theme } from "../plot/colours.js";
 import { rgba32, verticalLine } from "../plot/drawing.js";
 import { drawCell, markCell } from "../plot/flights.js";
 import { cellExtent } from "../plot/scale.js";
@@ -15,12 +15,11 @@ import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
 
 const MAX_LISTED = 6; // flights
-/** The columns of a table of events. */
-const EVENTS = [
-  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${number(low, 4)}–${number(high, 4)}`],
+const eventColumns = (values) => [
+  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${axisText(low, values)}–${axisText(high, values)}`],
   ["event", ({ event_kind: kind }) => kind],
   ["attractor", ({ event_attractor: id }) => String(id)],
-  ["mode", ({ event_kind: kind, event_below: below, event_above: above }) => inSymbols(kind === "mode" ? `${below} to ${above}` : kind === "birth" ? above : below)],
+  ["mode", ({ event_kind: kind, event_below: below, event_above: above }) => inSymbols({ mode: `${below} to ${above}`, birth: above }[kind] ?? below)],
   ["leads to", ({ event_leads_to: other }) => (other ? String(other) : "")],
 ];
 
@@ -47,25 +46,27 @@ class AttractorView extends PlaneView {
     [this.columns, this.rows, this.xi, this.count] = ["gamma", "omega", "xi", "count"].map((name) => result[name].data);
     this.attractors = partsOf(result, "attractor").map(({ attractor: id, attractor_label: label }) => ({ id, label: inSymbols(label) }));
     this.cells = cellsOf(result);
+    this.message = this.count.every((n) => n < 0) ? "Not computed yet" : null;
   }
 
-  /** The attractors of a cell. */
-  placesOf({ column, row = 0 }) {
+  /** The attractors of a cell, those of most drops first. */
+  attractorsOf({ column, row = 0 }) {
     return this.cells[this.indexOf({ column, row })];
   }
 
   showLegend() {
     const colourless = this.attractors.filter(({ id }) => id > COLOURED);
     const others = colourless.length > 1 ? colourless : [];
-    const entry = (name, of) => legendEntry(branchColour(of[0].id, theme().dark), `${name} `, h("small", {}, plural(this.cells.filter((cell) => cell.some(({ id }) => of.some((each) => each.id === id))).length, "cell")));
-    this.legend.replaceChildren(...this.attractors.filter((each) => !others.includes(each)).map((each) => entry(`${each.id}: mostly ${each.label}`, [each])),
+    const entry = (name, attractors) => {
+      const ids = new Set(attractors.map(({ id }) => id));
+      const cells = this.cells.filter((cell) => cell.some(({ id }) => ids.has(id)));
+      return legendEntry(numberedColour(attractors[0].id, theme().dark), `${name} `, h("small", {}, plural(cells.length, "cell")));
+    };
+    const listed = this.attractors.filter((attractor) => !others.includes(attractor));
+    this.legend.replaceChildren(...listed.map((attractor) => entry(`${attractor.id}: mostly ${attractor.label}`, [attractor])),
       ...(others.length ? [entry(`${others.length} others`, others)] : []));
     const { several, several_by_drops: byDrops } = this.plane.attrs;
     this.shares.textContent = (several ?? null) === null ? "" : `Two attractors or more in ${share(several)} of the cells; drops reach them in ${share(byDrops)}.`;
-  }
-
-  get message() {
-    return this.count.every((n) => n < 0) ? "Not computed yet" : null;
   }
 }
 
@@ -74,9 +75,9 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => [EVENTS, this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
+    const events = new PagedTable("Births, ends, changes of mode", () => [eventColumns(this.grid.gamma), this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
-      tables: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
+      below: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
   }
@@ -90,7 +91,7 @@ export class AttractorDiagram extends AttractorView {
   content() {
     return {
       ...this.scales(this.axisOf("gamma"), FLIGHT_AXIS),
-      title: `Ω = ${number(this.rows[0])},   ξ = ${number(this.xi)}`,
+      title: this.textOf({ omega: this.rows[0], xi: this.xi }),
       message: this.message,
       layers: [(ctx, box) => this.#drawEvents(ctx, box), (ctx, box) => this.#drawFlights(ctx, box)],
       cursor: (ctx, box) => this.#drawCurrent(ctx, box),
@@ -99,7 +100,7 @@ export class AttractorDiagram extends AttractorView {
 
   #drawEvents(ctx, box) {
     for (const { event_kind: kind, event_attractor: id, event_gamma_below: low, event_gamma_above: high } of partsOf(this.plane, "event")) {
-      if (kind !== "mode") verticalLine(ctx, box, box.x.pixel((low + high) / 2), branchColour(id, box.theme.dark), 1, kind === "birth" ? [5, 4] : [1, 3]);
+      if (kind !== "mode") verticalLine(ctx, box, box.x.pixel((low + high) / 2), numberedColour(id, box.theme.dark), 1, kind === "birth" ? [5, 4] : [1, 3]);
     }
   }
 
@@ -107,17 +108,16 @@ export class AttractorDiagram extends AttractorView {
   #drawFlights(ctx, box) {
     const inView = this.columns.filter((value) => value >= box.x.low && value <= box.x.high).length;
     const radius = Math.min(2.6, Math.max(1.1, box.width / 3 / Math.max(inView, 1)));
-    const places = this.cells.flatMap((cell, i) => cell.map((place) => ({ ...place, gamma: this.columns[i] })));
-    for (const { id, gamma, times } of places.sort((a, b) => b.id - a.id)) drawCell(ctx, box, gamma, times, branchColour(id, box.theme.dark), radius);
+    const attractors = this.cells.flatMap((cell, i) => cell.map((attractor) => ({ ...attractor, gamma: this.columns[i] })));
+    attractors.sort((a, b) => b.id - a.id).forEach(({ id, gamma, times }) => drawCell(ctx, box, gamma, times, numberedColour(id, box.theme.dark), radius));
   }
 
   #drawCurrent(ctx, box) {
-    const at = this.current ?? this.#selectedCell();
-    const place = at && this.placesOf(at)?.[at.k];
-    if (place) markCell(ctx, box, this.columns[at.column], place.times);
+    const cell = this.current ?? this.#selectedCell();
+    const attractor = cell && this.attractorsOf(cell)[cell.k];
+    if (attractor) markCell(ctx, box, this.columns[cell.column], attractor.times);
   }
 
-  /** The attractor that is seen to move, if it is on this line. */
   #selectedCell() {
     const cell = this.selected();
     const start = cell && startOf(cell.direction);
@@ -126,36 +126,42 @@ export class AttractorDiagram extends AttractorView {
   }
 
   cellsShown() {
-    return Array.from(this.columns.keys()).filter((column) => this.isVisible(this.columns[column])).flatMap((column) => this.placesOf({ column }).map((_, k) => ({ column, k })));
+    return Array.from(this.columns.keys()).filter((column) => this.isVisible(this.columns[column])).flatMap((column) => this.attractorsOf({ column }).map((_, k) => ({ column, k })));
   }
 
   columnsOfTable() {
-    const place = (read) => ({ column, k }, whole) => { const found = this.placesOf({ column })[k]; return found ? read(found, whole) : ""; };
-    return [["Γ", ({ column }) => number(this.columns[column])], ["attractor", place(({ id }) => String(id))], ["mode", (cell) => place(({ label }) => label)(cell) || (this.count[cell.column] < 0 ? "not computed yet" : "")],
-      ["share of drops", place(({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell"))],
-      ["flight times (rad)", place(({ times }, whole) => [...new Set(times.map((time) => number(time, 4)))].slice(0, whole ? Infinity : MAX_LISTED).join(" "))]];
+    const column = (title, text, otherwise = () => "") => [title, (cell, whole) => {
+      const attractor = this.attractorsOf(cell)[cell.k];
+      return attractor ? text(attractor, whole) : otherwise(cell);
+    }];
+    const flightsText = ({ times }, whole) => [...new Set(times.map((time) => number(time, 4)))].slice(0, whole ? Infinity : MAX_LISTED).join(" ");
+    return [
+      axisColumn("Γ", this.grid.gamma, (cell) => this.columns[cell.column]),
+      column("attractor", ({ id }) => String(id)),
+      column("mode", ({ label }) => label, (cell) => (this.count[cell.column] < 0 ? "not computed yet" : "")),
+      column("share of drops", ({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell")),
+      column("flight times (rad)", flightsText),
+    ];
   }
 
-  /** The attractor with the flight nearest to (x, y), of the cell at x. */
   nearest(x, y) {
     const column = nearestIndex(this.columns, x);
-    const distances = this.placesOf({ column }).map(({ times }) => Math.min(...times.map((time) => Math.abs(time - y))));
+    const distances = this.attractorsOf({ column }).map(({ times }) => Math.min(...times.map((time) => Math.abs(time - y))));
     return { column, k: Math.max(0, distances.indexOf(Math.min(...distances))) };
   }
 
-  /** Up and down go through the attractors of the cell. */
   step(current, right, up) {
     const from = current ?? { column: this.columns.length >> 1, k: 0 };
     const column = clampIndex(from.column + right, this.columns.length);
-    return { column, k: clampIndex(from.k + up, Math.max(this.placesOf({ column }).length, 1)) };
+    return { column, k: clampIndex(from.k + up, Math.max(this.attractorsOf({ column }).length, 1)) };
   }
 
   at({ column, k }) {
-    return [this.columns[column], this.placesOf({ column })[k]?.times[0]];
+    return [this.columns[column], this.attractorsOf({ column })[k]?.times[0]];
   }
 
   cellOf({ column, k }) {
-    return this.placesOf({ column })[k] ? { gamma: this.columns[column], omega: this.rows[0], xi: this.xi, direction: startName("attractor", k + 1) } : null;
+    return this.attractorsOf({ column })[k] ? { gamma: this.columns[column], omega: this.rows[0], xi: this.xi, direction: startName("attractor", k + 1) } : null;
   }
 }
 
@@ -176,7 +182,7 @@ export class AttractorMap extends AttractorView {
   content() {
     const isHatched = this.hatches.checked && this.plane.attrs.several > 0;
     return {
-      title: `ξ = ${number(this.xi)}`,
+      title: this.textOf({ xi: this.xi }),
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
@@ -188,23 +194,23 @@ export class AttractorMap extends AttractorView {
   /** The colour of the first attractor; over cells with several, lines in that of the second one. */
   #drawAttractors(ctx, box, isHatched) {
     const { surface, text, dark } = box.theme;
-    const colourOf = ({ id }) => branchColour(id, dark);
+    const colourOf = ({ id }) => numberedColour(id, dark);
     const colours = this.cells.map(([first]) => rgba32(first ? colourOf(first) : surface));
     const lines = this.cells.map(([first, second]) => second && rgba32(colourOf(second) === colourOf(first) ? text : colourOf(second)));
     this.drawCells(ctx, box, (cell, x, y) => (isHatched && lines[cell] && hatchAt(x, y) >= 0 ? lines[cell] : colours[cell]));
   }
 
   cellOf(cell) {
-    return this.placesOf(cell).length ? { ...super.cellOf(cell), direction: startName("attractor", 1) } : null;
+    return this.attractorsOf(cell).length ? { ...super.cellOf(cell), direction: startName("attractor", 1) } : null;
   }
 
   columnsOfTable() {
     const isMissing = (cell) => this.count[this.indexOf(cell)] < 0;
-    return [...this.columnsOfPlane(), ["with", (cell) => (isMissing(cell) ? "not computed yet" : this.placesOf(cell).map(placeText).join(" · "))]];
+    return [...this.columnsOfPlane(), ["with", (cell) => (isMissing(cell) ? "not computed yet" : this.attractorsOf(cell).map(attractorText).join(" · "))]];
   }
 }
 
-function placeText({ id, label, fraction, longest_flight: longest }) {
+function attractorText({ id, label, fraction, longest_flight: longest }) {
   const reached = fraction ? `${share(fraction)} of the drops` : "reached from a neighbouring cell only";
   return `attractor ${id}, ${label}, ${reached}${longest ? `, flights up to ${number(longest, 4)} rad` : ""}`;
 }
@@ -212,9 +218,11 @@ function placeText({ id, label, fraction, longest_flight: longest }) {
 /** The attractors of every cell, in rows of Ω, with the flights of a line: `times`, of rest 0. */
 function cellsOf({ id, label, fraction, longest_flight: longest, flight_time: flights, dims }) {
   const labels = label.data.flat(2).map(inSymbols);
-  const timesOf = (at) => Array.from(flights?.data.subarray(at * dims.flight, (at + 1) * dims.flight).filter(Number.isFinite) ?? []);
-  const place = (at) => ({ id: id.data[at], label: labels[at], fraction: fraction.data[at], longest_flight: longest.data[at], times: timesOf(at) });
+  const timesOf = (i) => Array.from(flights?.data.subarray(i * dims.flight, (i + 1) * dims.flight).filter(Number.isFinite) ?? []);
+  const attractorAt = (i) => {
+    const times = timesOf(i);
+    return { id: id.data[i], label: labels[i], fraction: fraction.data[i], longest_flight: longest.data[i], times: times.length ? times : [0] };
+  };
   return Array.from({ length: dims.omega * dims.gamma }, (_, cell) =>
-    Array.from({ length: dims.place }, (_, k) => place(cell * dims.place + k)).filter((each) => each.id)
-      .map((each) => (each.times.length ? each : { ...each, times: [0] })));
+    Array.from({ length: dims.place }, (_, k) => attractorAt(cell * dims.place + k)).filter((attractor) => attractor.id));
 }

@@ -2,9 +2,9 @@
 
 import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
-import { announce, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
+import { announce, button, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, SYMBOL, axisLabel, axisValues, clamp, directionsOf, initialValue, isLog, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
@@ -39,43 +39,41 @@ async function requestFitting(path, options) {
   }
 }
 
-/**
- * A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
- *   name             part of the names of its files, or what a shared file calls its results
+/** A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
+ *   name             part of the names of its files, and what a shared file calls its results
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
  *   filePath(source) the address of the result of a source that is downloaded
  *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
  *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
- *                    The views represent cells differently; only their own methods look into one.
+ *                    The views represent cells differently; only their own methods look into one, but for its
+ *                    `source` where views have several.
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   cellsShown(), columnsOfTable()  the cells of the table of what is shown, and its columns [[title, (cell, whole) => text], …]; `whole`: not shortened
+ *   cellsShown(), columnsOfTable()   the cells of the table of what is shown, and its columns (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
- *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(): called when the data or the colours have changed
- */
+ *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(), called when data or colours have changed */
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
   isThinned = false; // whether all of it is more than the service sends
 
-  /**
-   * `signal` aborts when the view is left. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside a map, whose window it has along Γ.
-   * `onMissing()`: the service has no such job. Of compared views: `grid` has the values of all, the sliders of the first move the others, which follow, `compared` are the sources of all, `onPoint(view, x, y)`
-   * is told where the pointer is, `onLoad(view)` that there are data, `extent()` is the window of all data, and titles begin with `prefix`.
-   */
-  constructor({ sources, signal, bar = null, isBeside = false, grid = sources[0].grid, isFollower = false, compared = sources, prefix = "", onSelect, selected = () => null, onPoint = () => {}, onLoad = () => {}, onMissing = () => {}, extent = () => this.whole() }) {
-    Object.assign(this, { sources, signal, bar, isBeside, grid, isFollower, compared, prefix, onSelect, selected, onPoint, onLoad, onMissing, extent, source: sources[0], directions: sources[0].directions });
+  /** `signal` aborts when the view is left. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside
+   * a map, whose window it has along Γ. `selected()`: the cell whose trajectory is shown; `onSelect(cell, job)`: one is
+   * pressed; `onMissing()`: the service has no such job. Of compared views, the sliders of the first move the others,
+   * which follow; `compared`, `grid` and `extent()` are the sources, values and window of all; titles begin with
+   * `prefix`; `onPoint(view, x, y)` is told where the pointer is, `onLoad(view)` that there are data. */
+  constructor({ sources, ...options }) {
+    const [source] = sources;
+    const single = { compared: sources, grid: source.grid, extent: () => this.whole(), isFollower: false, prefix: "" };
+    const handlers = { selected: () => null, onPoint: () => {}, onLoad: () => {}, onMissing: () => {} };
+    Object.assign(this, { sources, source, directions: source.directions, isCompared: sources.length > 1 }, single, handlers, options);
   }
 
   get job() {
     return this.source.job;
-  }
-
-  get isCompared() {
-    return this.sources.length > 1;
   }
 
   /** The values nearest to those of the address. */
@@ -86,9 +84,12 @@ export class PlotView {
 
   /** The values of an axis that can be shown: of a shared file, those it holds. */
   valuesOf(axis) {
-    const held = (shared?.answers[this.name] ?? shared?.answers.diagram ?? []).filter((answer) => axis in answer).map((answer) => answer[axis]);
-    return held.length ? [...new Set(held)].sort((a, b) => a - b) : this.grid[axis];
+    const answers = (shared?.answers[this.name] ?? shared?.answers.diagram ?? []).filter((answer) => axis in answer);
+    return answers.length ? [...new Set(answers.map((answer) => answer[axis]))].sort((a, b) => a - b) : this.grid[axis];
   }
+
+  /** "Ω = 0.5,   ξ = 0.26" */
+  textOf = (place) => Object.entries(place).map(([axis, value]) => `${SYMBOL[axis]} = ${axisText(value, this.grid[axis])}`).join(",   ");
 
   /** The window zoomed to; null for everything. */
   get window() {
@@ -102,29 +103,32 @@ export class PlotView {
 
   #positive(window) {
     const { log = "" } = currentQuery();
-    const lowest = (axis) => (log.includes(axis) && window[`${axis}0`] <= 0 ? window[`${axis}1`] / LOG_RANGE : window[`${axis}0`]);
-    return { ...window, x0: lowest("x"), y0: lowest("y") };
+    const lowest = (name, low, high) => (log.includes(name) && low <= 0 ? high / LOG_RANGE : low);
+    return { ...window, x0: lowest("x", window.x0, window.x1), y0: lowest("y", window.y0, window.y1) };
   }
 
   #toggleLog(toggled) {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view and start loading; `shown` is what the column beside the plot begins with: legend, options, notes; `tables` what it ends with, of which PagedTables are kept up to date. */
-  build(root, { controls, label, hint, shown = [], tables = [] }) {
-    this.tables = tables.filter((table) => table instanceof PagedTable);
+  /** Build the view and start loading; the column beside the plot begins with `shown`: legend, options, notes, and ends with `below`. */
+  build(root, { controls, label, hint, shown = [], below = [] }) {
+    this.tables = below.filter((table) => table instanceof PagedTable);
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
-    const figure = h("figure", {});
-    const zoom = (window, isStep = true) => (window || this.window) && !this.isBeside && setQuery(windowQuery(window), isStep);
-    this.unzoom = h("button", { type: "button", className: "quiet", hidden: !this.window, onclick: () => zoom(null) }, "Show everything");
-    const compute = this.windowed && this.bar && !this.isCompared && h("button", { type: "button", className: "quiet", "data-service": true, onclick: () => this.#computeWindow() }, "Compute this window");
-    this.logButtons = ["x", "y"].map((axis) => h("button", { type: "button", className: "quiet", hidden: !this.windowed, title: `Logarithmic ${axis} axis`, onclick: () => this.#toggleLog(axis) }, `log ${axis}`));
-    this.table = new PagedTable("Table of what is shown", () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]), () => fileName(this.job, `${this.name}-table`, "csv"));
+    const content = () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]);
+    this.table = new PagedTable("Table of what is shown", content, () => fileName(this.job, `${this.name}-table`, "csv"));
     this.bar?.replaceChildren(controls);
-    const [actions, copy] = [[this.unzoom, this.logButtons, compute], [copyButton(() => this.said ?? this.hint)]].map((buttons) => h("div", { className: "actions" }, buttons));
-    const column = [this.#downloads(), actions, ...shown, this.readout, copy, this.measured?.element, ...tables.map((table) => table.element ?? table), this.table.element]; // the legend grows while cells are computed
+    const figure = h("figure", {});
+    this.unzoom = button("Show everything", () => this.#zoom(null), { hidden: !this.window });
+    this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => this.#toggleLog(axis), { hidden: !this.windowed, title: `Logarithmic ${axis} axis` }));
+    const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
+    const actions = (...buttons) => h("div", { className: "actions" }, buttons);
+    const column = [ // the legend grows while cells are computed: what is above it stays where it is
+      this.#downloads(), actions(this.unzoom, this.logButtons, compute), ...shown, this.readout,
+      actions(copyButton(() => this.lastReadout ?? this.hint)), this.measured?.element, ...below.map((item) => item.element ?? item), this.table.element,
+    ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
     listenToInput(this.plot, {
@@ -133,9 +137,9 @@ export class PlotView {
       select: (x, y) => this.#select(this.nearest(x, y)),
       selectCurrent: () => this.#select(this.current),
       step: (right, up) => this.#step(right, up),
-      zoom,
+      zoom: (window) => this.#zoom(window),
       isZoomed: () => Boolean(this.window),
-      scale: (factors, from = this.current && this.at(this.current), to = from) => zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), this.#isNewGesture()),
+      scale: (factors, from, to) => this.#scale(factors, from, to),
     });
     this.load = latest((signal) => this.#load(signal));
     queryChanges.addEventListener("change", () => this.#follow(), { signal: this.signal });
@@ -143,11 +147,18 @@ export class PlotView {
     this.load();
   }
 
+  #scale(factors, from = this.current && this.at(this.current), to = from) {
+    this.#zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), this.#isNewGesture());
+  }
+
+  #zoom(window, isStep = true) {
+    if ((window || this.window) && !this.isBeside) setQuery(windowQuery(window), isStep);
+  }
+
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
 
   #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
 
-  /** Whether values are in the window on display. */
   isVisible(x, y = null) {
     const { x0, x1, y0, y1 } = this.visible();
     return x >= x0 && x <= x1 && (y === null || (y >= y0 && y <= y1));
@@ -163,12 +174,10 @@ export class PlotView {
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
-  /** An axis of the sweep in a plot. */
   axisOf(axis) {
-    return { label: axisLabel(axis), log: this.sources.every(({ job }) => isLog(job.spec[axis])) };
+    return { label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log") };
   }
 
-  /** Fill the form with the sweep in the window on display. */
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
     const { [this.job.spec.protocol.axis]: ramped, ...fixed } = this.place; // a ramp keeps its axis
@@ -196,15 +205,12 @@ export class PlotView {
 
   describe(cell) {
     const known = this.columnsOfTable().map(([title, text]) => [title, text(cell)]).filter(([, text]) => text && text !== "–");
-    return known.map(([title, text]) => (SYMBOLS.has(title) ? `${title} = ${text}` : title === "mode" ? text : `${title}: ${text}`)).join(" · ");
+    const separator = (title) => (SYMBOLS.has(title) ? " = " : ": ");
+    return known.map(([title, text]) => (title === "mode" ? text : title + separator(title) + text)).join(" · ");
   }
 
   paths() {
     return this.sources.map((source) => this.filePath(source));
-  }
-
-  sourceOf() {
-    return this.source;
   }
 
   #follow() {
@@ -221,7 +227,7 @@ export class PlotView {
     const paths = this.paths();
     this.requested = paths.join();
     try {
-      const results = await Promise.all(paths.map((path) => requestFitting(path, { signal })));
+      const results = await Promise.all(paths.map((path) => requestFitting(path, { signal: AbortSignal.any([signal, this.signal]) })));
       if (this.signal.aborted) return;
       const position = this.current && this.at(this.current);
       this.read(results);
@@ -261,7 +267,6 @@ export class PlotView {
     else if (error && !error.status) throw error;
   }
 
-  /** Point where another view is pointed at. */
   follow(x, y) {
     if (this.isLoaded) this.#setCurrent(x === undefined ? null : this.nearest(x, y));
   }
@@ -269,7 +274,7 @@ export class PlotView {
   #setCurrent(cell) {
     this.current = cell;
     this.readout.replaceChildren(...(cell ? [this.describe(cell)].flat() : [this.hint]));
-    if (cell) this.said = this.readout.textContent; // which is copied once the pointer has left the plot
+    if (cell) this.lastReadout = this.readout.textContent; // which is copied once the pointer has left the plot
     this.plot.drawCursor();
   }
 
@@ -298,10 +303,9 @@ export class PlotView {
     const selected = cell && this.cellOf(cell);
     if (!selected) return;
     this.#setCurrent(cell);
-    this.onSelect(selected, this.sourceOf(cell).job);
+    this.onSelect(selected, (cell.source ?? this.source).job);
   }
 
-  /** What is shown, with the entries of its legend and what it is of. */
   png() {
     if (!this.isLoaded) throw new Error("Nothing is shown yet.");
     const legend = this.plot.element.closest("section").querySelectorAll(".legend li:not(:has([aria-pressed=false]))");
@@ -310,18 +314,20 @@ export class PlotView {
     return this.plot.png(entries, this.exponents && [this.exponents], this.plot.element.dataset.shown);
   }
 
-  /** A picture of what is shown; figures and tables of the service. */
   #downloads() {
     const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.png()];
     if (shared) return downloads([png]);
     const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
-    if (this.isCompared && this.paths().length > 1) return downloads([png, ...this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]))]);
-    return downloads([png, ...files(this.source, FORMATS), ...(isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [])]);
+    const ofSources = () => this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]));
+    if (this.isCompared && this.paths().length > 1) return downloads([png, ...ofSources()]);
+    const whole = isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [];
+    return downloads([png, ...files(this.source, FORMATS), ...whole]);
   }
 }
 
 /** What a result is of, as JSON: its attributes, and its coordinates of one value. */
 function parametersOf({ attrs, ...variables } = {}) {
-  const valueOf = ({ data }) => (typeof data !== "object" ? data : data.length === 1 ? data[0] : undefined);
-  return JSON.stringify({ ...attrs, ...Object.fromEntries([...AXES, "direction"].filter((name) => variables[name]).map((name) => [name, valueOf(variables[name])])) });
+  const values = [...AXES, "direction"].filter((name) => variables[name]).map((name) => [name, variables[name].data])
+    .map(([name, data]) => [name, typeof data === "object" && data.length === 1 ? data[0] : data]);
+  return JSON.stringify({ ...attrs, ...Object.fromEntries(values.filter(([, value]) => typeof value !== "object")) });
 }

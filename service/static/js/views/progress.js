@@ -4,7 +4,7 @@ import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { h, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, axisValues, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisText, axisValues, isSweep } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
 /** Whether a job, or the budget that it is a level of, goes on. */
@@ -38,15 +38,13 @@ export class JobSummary {
     this.progress.dataset.state = state;
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
-    this.amount.textContent = compiling ? compilation(compiling) : amount(state, progress);
+    this.amount.textContent = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(state, progress);
     const notices = [...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : [])];
     this.notice.hidden = !notices.length;
     this.notice.replaceChildren(...notices);
     showActions(this.actions, job, this.on);
   }
 }
-
-const compilation = ({ kernel, seconds }) => `compiling ${kernel}, ${duration(seconds)}`;
 
 function amount(state, { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta }) {
   const isAdaptive = (computed ?? null) !== null;
@@ -56,11 +54,10 @@ function amount(state, { cells_done: done, cells_total: total, cells_computed: c
   return state === "running" && eta !== null && done ? `${text}, ${duration(eta)} left` : text;
 }
 
-/** Axes, start and contact model of a sweep, as nodes. */
 export function summary({ spec, choice }) {
   if (!spec) return ["specification too long to list"];
   const axes = AXES.filter((axis) => axis in spec)
-    .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${axisText(spec[axis])}`), " · "]);
+    .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${rangeText(spec[axis])}`), " · "]);
   if (!isSweep(spec)) return [...axes, h("span", {}, `study: ${spec.protocol.kind}`)];
   const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
   const refined = spec.refine ? [" · ", h("span", {}, `adaptive, by ${spec.refine.by}`)] : [];
@@ -90,10 +87,10 @@ export function settling({ id, progress, spec }) {
     h("a", { href: link(["new"], { from: id, field: spec.settle === "auto" ? "until" : "settle" }) }, "give more time")];
 }
 
-function axisText(axis) {
+function rangeText(axis) {
   const values = axisValues(axis);
-  if (values.length <= MAX_LISTED) return values.map((value) => number(value)).join(", ");
-  return `${number(values[0])} – ${number(values.at(-1))} (${count(values.length)})`;
+  if (values.length <= MAX_LISTED) return values.map((value) => axisText(value, values)).join(", ");
+  return `${axisText(values[0], values)} – ${axisText(values.at(-1), values)} (${count(values.length)})`;
 }
 
 function protocolText({ kind, axis, direction, start }) {
@@ -106,7 +103,7 @@ const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
 
 /** Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. */
 function showActions(root, job, on) {
-  const actions = UNFINISHED.has(job.state) ? ["cancel"] : RESUMABLE.has(job.state) ? ["resume", "delete"] : ["delete"];
+  const actions = UNFINISHED.has(job.state) ? ["cancel"] : [...(RESUMABLE.has(job.state) ? ["resume"] : []), "delete"];
   const shown = [...actions, titleOf(job)].join();
   if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);

@@ -3,8 +3,8 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
-import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
+import { axisColumn, axisText, clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
 import { sliders } from "./controls.js";
@@ -12,7 +12,6 @@ import { MeasuredPoints } from "./measured.js";
 import { PlotView } from "./plot-view.js";
 import { RESUMABLE } from "./progress.js";
 
-const DASH = [7, 4];
 const HINT = "Point at a frequency to read it, press to show a trajectory, drag or turn the wheel to zoom.";
 const BESIDE = 4; // px from the frequency, of two directions: both may lie beyond the same edge
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
@@ -25,16 +24,16 @@ export class Thresholds extends PlotView {
 
   constructor(root, view) {
     super(view);
-    this.closedForm = hasCycles(this.job) && this.grid.omega.length > 1 && foldsOver(this);
+    this.overlay = hasCycles(this.job) && this.grid.omega.length > 1 ? foldsOver(this) : null;
     this.measured = new MeasuredPoints(this, "gamma");
     const controls = h("div", { className: "controls" }, sliders(this, ["xi"]));
-    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.closedForm ? [this.closedForm.element] : [] });
+    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.overlay ? [this.overlay.element] : [] });
   }
 
   /** Without what the closed form predicts, which takes longer, until the thresholds at this ξ are shown. */
   paths() {
     const isShown = this.isLoaded && isClose(this.xi, this.place.xi) && (this.complete || RESUMABLE.has(this.job.state));
-    return [this.#path({ predict: this.closedForm && isShown ? null : "none" })];
+    return [this.#path({ predict: this.overlay && isShown ? null : "none" })];
   }
 
   #path(window) {
@@ -43,7 +42,7 @@ export class Thresholds extends PlotView {
 
   filePath() {
     const { x0, x1, y0, y1 } = this.window ?? {};
-    return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1, predict: this.folds ? null : "none" });
+    return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1, predict: this.overlay?.data ? null : "none" });
   }
 
   read([result]) {
@@ -51,35 +50,32 @@ export class Thresholds extends PlotView {
     [this.omega, this.xi, this.complete] = [result.omega.data, result.xi.data, result.attrs.complete];
     const isRest = this.directions[0] === "rest";
     this.series = [
-      { name: isRest ? "from rest" : "ramp up", direction: isRest ? "rest" : "up", way: "up" },
+      { ...(isRest ? { name: "from rest", direction: "rest" } : { name: "ramp up", direction: "up" }), way: "up" },
       { name: "ramp down", direction: "down", way: "down" },
     ].filter(({ way }) => this.rows.some((row) => row[`${way}_status`] !== "not ramped"));
     const { gamma } = this.grid;
-    const all = new Set(this.rows.flatMap((row) => [row.up_status, row.down_status]));
-    this.isUndecided = UNDECIDED.some((status) => all.has(status));
-    this.edges = [...(all.has("below the grid") ? [gamma[0]] : []), ...(all.has("above the grid") ? [gamma.at(-1)] : [])];
-    this.found = this.rows.flatMap(({ up, down }) => [up, down]).filter(Number.isFinite);
-    this.closedForm?.update?.();
-  }
-
-  get folds() {
-    return this.closedForm?.data ?? null;
+    const statuses = new Set(this.rows.flatMap((row) => [row.up_status, row.down_status]));
+    this.isUndecided = UNDECIDED.some((status) => statuses.has(status));
+    this.edges = [...(statuses.has("below the grid") ? [gamma[0]] : []), ...(statuses.has("above the grid") ? [gamma.at(-1)] : [])];
+    this.computedThresholds = this.rows.flatMap(({ up, down }) => [up, down]).filter(Number.isFinite);
+    this.overlay?.update();
   }
 
   whole() {
     const [x0, x1] = cellExtent(this.omega);
-    const drawn = [...this.found, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1))), ...this.edges, this.measured.highest(x0, x1)];
+    const drawn = [...this.computedThresholds, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1))), ...this.edges, this.measured.highest(x0, x1)];
     return { x0, x1, y0: 0, y1: 1.12 * Math.max(...drawn) || 1 };
   }
 
   content() {
-    const isEmpty = !this.found.length && !this.edges.length;
+    const isEmpty = !this.computedThresholds.length && !this.edges.length;
+    const reason = this.complete ? "No threshold in this sweep" : "No bouncing cell is computed yet";
     return {
       ...this.scales(this.axisOf("omega"), { label: "threshold Γ" }),
-      title: `ξ = ${number(this.xi)}`,
+      title: this.textOf({ xi: this.xi }),
       legend: this.#legend(),
-      message: isEmpty ? (this.complete ? "No threshold in this sweep" : "No bouncing cell is computed yet") : null,
-      layers: [(ctx, box) => this.folds && drawFolds(ctx, box, this.folds), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
+      message: isEmpty ? reason : null,
+      layers: [(ctx, box) => this.overlay?.data && drawFolds(ctx, box, this.overlay.data), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
       cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(this.current.row.omega), box.theme.cursor),
     };
   }
@@ -90,29 +86,31 @@ export class Thresholds extends PlotView {
       const x = box.left + (i * box.width) / n;
       return [x, box.y.pixel(threshold(box.x.value(x), this.xi))];
     });
-    polyline(ctx, box.theme.threshold, 1.6, curve, DASH);
+    polyline(ctx, box.theme.threshold, 1.6, curve, CURVE_DASH);
+    const edges = { 1: box.y.pixel(this.grid.gamma[0]), [-1]: box.y.pixel(this.grid.gamma.at(-1)) };
     for (const { direction, way } of this.series) {
       const colour = box.theme[direction];
       drawSeries(ctx, box, this.rows, way, colour, direction);
+      const aside = direction === "down" ? BESIDE : -BESIDE;
       this.rows.forEach(({ omega, [`${way}_status`]: status }) => {
-        const x = box.x.pixel(omega) + (this.series.length < 2 ? 0 : direction === "down" ? BESIDE : -BESIDE);
+        const x = box.x.pixel(omega) + (this.series.length > 1 ? aside : 0);
         if (UNDECIDED.includes(status)) drawCross(ctx, x, box.top + box.height - 8, colour);
-        else if (BEYOND[status]) drawTriangle(ctx, x, box.y.pixel(BEYOND[status] > 0 ? this.grid.gamma[0] : this.grid.gamma.at(-1)), BEYOND[status], colour);
+        else if (BEYOND[status]) drawTriangle(ctx, x, edges[BEYOND[status]], BEYOND[status], colour);
       });
     }
   }
 
   #legend() {
     const beyond = this.edges[0] === this.grid.gamma[0] ? 1 : -1;
-    const line = (ctx, x, y, colour, width, dash) => polyline(ctx, colour, width, [[x, y], [x + 24, y]], dash);
+    const triangle = (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction]);
     return [
-      ["Eq. 25", (ctx, x, y, theme) => line(ctx, x, y, theme.threshold, 1.6, DASH)],
-      ...(this.folds ? foldLegend() : []),
+      ["Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.threshold, 1.6, x, y, CURVE_DASH)],
+      ...(this.overlay?.data ? foldLegend() : []),
       ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
-        line(ctx, x, y, theme[direction], 1.2);
+        legendLine(ctx, theme[direction], 1.2, x, y);
         drawMarker(ctx, [x + 12, y], 3.4, theme[direction], direction, theme.surface);
       }]),
-      ...(this.edges.length ? [["beyond the grid", (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction])]] : []),
+      ...(this.edges.length ? [["beyond the grid", triangle]] : []),
       ...(this.isUndecided ? [["undecided", (ctx, x, y, theme) => drawCross(ctx, x + 12, y, theme.muted)]] : []),
     ];
   }
@@ -139,12 +137,13 @@ export class Thresholds extends PlotView {
   }
 
   columnsOfTable() {
-    const value = (title, name, digits, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? number(row[name], digits) : otherwise(row))];
+    const gammaText = (gamma) => axisText(gamma, this.grid.gamma);
+    const value = (title, name, text, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? text(row[name]) : otherwise(row))];
     const text = (name) => [name, ({ row }) => inSymbols(row[name] ?? "")];
-    return [value("Ω", "omega"), value("Eq. 25", "analytic", 5),
-      ...this.series.map(({ name, way }) => value(name, way, 5, (row) => row[`${way}_status`])),
+    return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), value("Eq. 25", "analytic", gammaText),
+      ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
-      ...(this.closedForm ? [value("closed form", "predicted_down", 6), text("cause"), text("difference")] : [])];
+      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("difference")] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
@@ -156,7 +155,6 @@ export class Thresholds extends PlotView {
   }
 }
 
-/** Markers joined by lines, interrupted where values are missing. */
 function drawSeries(ctx, box, rows, way, colour, direction) {
   const points = rows.map(({ omega, [way]: value }) => (Number.isFinite(value) ? [box.x.pixel(omega), box.y.pixel(value)] : null));
   const size = Math.min(3.4, Math.max(1.6, 260 / rows.length));
@@ -166,10 +164,7 @@ function drawSeries(ctx, box, rows, way, colour, direction) {
 
 /** A disc on the way up, a hollow square on the way down: distinct without colour too. */
 function drawMarker(ctx, [x, y], size, colour, direction, background) {
-  if (direction !== "down") {
-    disc(ctx, colour, x, y, size);
-    return;
-  }
+  if (direction !== "down") return disc(ctx, colour, x, y, size);
   const square = [[x - size, y - size], [x + size, y - size], [x + size, y + size], [x - size, y + size], [x - size, y - size]];
   polygon(ctx, background, square);
   polyline(ctx, colour, 1.6, square);
@@ -177,5 +172,4 @@ function drawMarker(ctx, [x, y], size, colour, direction, background) {
 
 /** At the edge of the grid, towards where a threshold lies: down where `sign` is 1. */
 const drawTriangle = (ctx, x, y, sign, colour) => polygon(ctx, colour, [[x - 4, y], [x + 4, y], [x, y + 9 * sign]]);
-
 const drawCross = (ctx, x, y, colour) => polyline(ctx, colour, 1.4, [[x - 3.5, y - 3.5], [x + 3.5, y + 3.5], null, [x - 3.5, y + 3.5], [x + 3.5, y - 3.5]]);
