@@ -60,12 +60,13 @@ class WorkerAdmission(WorkerPlugin):
     ) -> None:
         self._facts, self._stores, self._cache = facts, stores, cache
         self.release = release_of(facts)
-        self.refusal = ""  # why the worker is refused
+        self.refusal = "it is not judged yet"  # why the worker is refused
         self._removed = False
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
         _quiet_when_closing(worker)
+        _set_available(worker, available=False)
         await self._judge_worker(worker)
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():
             # Batch queues end all processes of a job at once: this one too, and not through its nanny.

@@ -249,7 +249,7 @@ def test_a_service_starts_beside_a_worker_that_hangs(tmp_path: Path, processes: 
         client.wait_for_workers(2, timeout=PATIENCE)
     hanging.send_signal(signal.SIGSTOP)
     try:
-        with closing(Dask(processes.address, timeout=10.0)) as executor:
+        with closing(Dask(processes.address, timeout=30.0)) as executor:
             results = [executor.call(divmod, 17, 5) for _ in range(2)]  # one for each worker
             done, _ = wait(results, PATIENCE, FIRST_COMPLETED)
             assert [result.result() for result in done] == [(3, 2)]
