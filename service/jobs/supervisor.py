@@ -357,8 +357,7 @@ class Supervisor:
         except Exception as error:
             self._ledger.check()  # a disk that cannot be written is not the job's fault either
             log.exception("job %s cannot start", job_id)
-            reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
-            self._fail(job, f"the job cannot start: {reason}")
+            self._fail(job, f"the job cannot start: {type(error).__name__}: {error}")
             return
         with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
             current = ledger.unfinished_record(job)
