@@ -132,6 +132,8 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         page.locator(".error", has_text="write a decimal point, not a comma: 0.1").wait_for()
         page.locator("[data-field='xi']").fill("0,26")
         page.locator(".error", has_text="write 0.26, or 0, 26 for two values").wait_for()
+        page.locator("[data-field='xi']").fill("2e-1,0.26")
+        page.locator(".parsed", has_text="2 values: 0.2, 0.26").wait_for()
         page.locator("[data-field='xi']").fill("0.25,0.26")
         page.locator(".parsed", has_text="2 values: 0.25, 0.26").wait_for()
         page.get_by_label("start", exact=True).first.fill("1")

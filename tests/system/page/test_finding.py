@@ -222,6 +222,16 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         assert set(table.xi) == {0.1}
 
 
+def test_a_comparison_says_what_only_some_of_its_sweeps_have(browser: Any, address: str, jobs: list[str]):
+    certified = done(address, spec_of((0.5, 3.0, 6), 0.5, 0.26, name="certified"))
+    for order in ([certified, jobs[0]], [jobs[0], certified]):
+        with opened(browser, f"{address}/#/compare?jobs={','.join(order)}") as page:
+            wait_shown(page, along="gamma")
+            page.locator(".panel .plot").press("ArrowRight")
+            for name, text in (("certified", "|μ|: 0."), ("sweep 0.05", "flight times")):
+                page.locator(".readout .entry", has_text=f"sweep: {name}").filter(has_text=text).wait_for()
+
+
 #: A map of two directions and one from rest, over different ranges.
 MAPS: tuple[dict[str, Any], ...] = (
     {

@@ -17,7 +17,7 @@ const CHOICES = {
 /** Values above these are remarked on; of longer axes nothing is said. */
 const USUAL = { gamma: 20, omega: 10, xi: 2 };
 const MOST_VALUES = 1e5;
-export const COMMA = /(?<![\d.])\d+,\d+(?![\d.])/; // of a decimal, or of two values; not in 0.5,0.6
+export const COMMA = /(?<![\d.]|e[-+−]?)\d+,\d+(?![\d.])/i; // of a decimal, or of two values; not in 0.5,0.6 or 1e-3,2
 const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", size: 8 };
 const TEXT_INPUT = { inputmode: "text", maxlength: 200, size: 32 };
 

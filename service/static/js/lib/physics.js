@@ -105,16 +105,19 @@ function boundText(bound) {
   return number(nearest < bound ? nearest + 10 ** Math.floor(Math.log10(nearest)) : nearest, 1);
 }
 
-/** What a table says of the cells of a sweep, as columns. `locate(cell)`: the variables that hold a cell, and its index in them. */
-export function cellColumns({ lyapunov, multiplier, computed }, locate) {
-  const column = (title, text) => [title, (cell) => text(...locate(cell))];
+/** What a table says of cells, as columns: of the `variables` that any of them has. `locate(cell)`: the variables that hold a cell, and its index in them. */
+export function cellColumns(variables, locate) {
+  const column = (title, name, text) => variables[name] && [title, (cell) => {
+    const [cells, i] = locate(cell);
+    return cells[name] ? text(cells, i) : ""; // of compared sweeps only some may have it
+  }];
   const origin = (cells, i) => (cells.computed[i] ? "computed" : "taken from its block");
   return [
-    column("mode", modeText),
-    lyapunov && column("λ₁", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i])),
-    multiplier && column("|μ|", (cells, i) => number(cells.multiplier[i], 3)),
-    multiplier && column("flight error ≤ (rad)", (cells, i) => boundText(cells.flight_error[i])),
-    computed && column("cell", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : origin(cells, i))),
+    ["mode", (cell) => modeText(...locate(cell))],
+    column("λ₁", "lyapunov", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i])),
+    column("|μ|", "multiplier", (cells, i) => number(cells.multiplier[i], 3)),
+    column("flight error ≤ (rad)", "flight_error", (cells, i) => boundText(cells.flight_error[i])),
+    column("cell", "computed", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : origin(cells, i))),
   ].filter(Boolean);
 }
 

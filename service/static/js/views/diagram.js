@@ -254,7 +254,7 @@ export class Diagram extends PlotView {
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
       ...(first ? this.#fixed(false).map((axis) => axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis])) : []),
       ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
-      ...cellColumns(first ?? {}, ({ line, cell }) => [line, cell]),
+      ...cellColumns(Object.assign({}, ...this.lines), ({ line, cell }) => [line, cell]),
       ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
     ];
   }
