@@ -178,10 +178,10 @@ def _most(n: int) -> int:
 
 @jit
 def _is_near(k: int, search: Search) -> bool:
-    """Whether the last flight is about as long as one before; if not, no candidate is near any more.
+    """Whether the last flight is about as long as one before; if not, failures are forgotten.
 
-    One flight in seven is, if a motion is chaotic. Unsigned indices make the loops those of vectors, which
-    take a quarter of the time of `_candidate`.
+    Of chaotic motions one flight in seven is. With unsigned indices the loops are vectorized: they take a
+    quarter of the time of `_candidate`, which is skipped for the others.
     """
     n, first, near = search.counts[k, COUNTED], k * SEARCHED, False
     most, last = _most(n), (n - 1) & (SEARCHED - 1)
