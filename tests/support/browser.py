@@ -112,6 +112,12 @@ def opened(browser: Any, address: str, *, expected: tuple[str, ...] = (), **opti
     assert unexpected == [], unexpected
 
 
+def reopen(page: Any, address: str) -> None:
+    """Load the page anew: where only what follows # changes, the view before is still there for a while."""
+    page.goto("about:blank")
+    page.goto(address)
+
+
 def open_tab(page: Any, title: str) -> None:
     """Open a tab of a sweep, and wait until it has taken the place of the one before."""
     page.locator(".tabs a", has_text=title).click()

@@ -19,6 +19,7 @@ from browser import (
     needs_chromium,
     open_tab,
     opened,
+    reopen,
     screenshot,
     wait_shown,
     watch_tasks,
@@ -971,7 +972,7 @@ def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other:
     with opened(browser, "about:blank", color_scheme=scheme, reduced_motion="reduce") as page:
         page.add_init_script(axe)
         for path in VIEWS:
-            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
+            reopen(page, f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
             for width, height in SIZES:
                 page.set_viewport_size({"width": width, "height": height})
@@ -995,7 +996,7 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
     phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "is_mobile": True}
     with opened(browser, address, reduced_motion="reduce", **phone) as page:
         for number, path in enumerate(VIEWS):
-            page.goto(f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
+            reopen(page, f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
             assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
@@ -1012,7 +1013,7 @@ def test_maps_fit_every_desktop(browser: Any, address: str):
         for width in (1024, 1100, 1280, 1920):
             page.set_viewport_size({"width": width, "height": 800})
             for job in (cancelled, classes):
-                page.goto(view(address, job, "modes"))
+                reopen(page, view(address, job, "modes"))
                 page.locator("#bar").get_by_role("button", name="Delete").wait_for()
                 page.locator(f".panel .legend li >> nth={0 if job == cancelled else 12}").wait_for()
                 assert page.evaluate("document.documentElement.scrollWidth") <= width, job

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas
 import pytest
-from browser import needs_chromium, opened, screenshot, wait_shown
+from browser import needs_chromium, opened, reopen, screenshot, wait_shown
 from click.testing import CliRunner
 from disks import read_only
 from PIL import Image
@@ -334,7 +334,7 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.locator(".cost", has_text="cells in").wait_for()
         assert page.get_by_label("contact model").input_value() == "soft"
         assert page.locator("[data-field=omega]").first.input_value() == "0.6003"
-        page.goto(f"{address}/#/explore?contact=soft&penetration=0.01")
+        reopen(page, f"{address}/#/explore?contact=soft&penetration=0.01")
         page.get_by_label("depth").wait_for()
         assert page.get_by_label("depth").input_value() == "0.01"
         page.get_by_role("link", name="Explore", exact=True).click()
@@ -374,12 +374,12 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
             ("modes", "gamma_start=0.55&gamma_stop=2&omega_start=0.4&omega_stop=6&hide=at_rest"),
             ("thresholds", "omega_start=0.55&omega_stop=2&gamma_start=0.4&gamma_stop=6"),
         ):
-            page.goto(f"{address}/#/job/{job}/{tab}?omega=0.5&{window}")
+            reopen(page, f"{address}/#/job/{job}/{tab}?omega=0.5&{window}")
             wait_shown(page, xi=0.05)
             with page.expect_request(re.compile("format=svg")) as request:
                 saved("SVG")
             assert shown in request.value.url
-        page.goto(f"{address}/#/job/{job}/modes")
+        reopen(page, f"{address}/#/job/{job}/modes")
         wait_shown(page, direction="rest")
         ours = saved("CSV")
     theirs = tmp_path / "modes.csv"

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from browser import chromium, needs_chromium, opened, screenshot, wait_shown
+from browser import chromium, needs_chromium, opened, reopen, screenshot, wait_shown
 from earlier_kernel import IDS, earlier_folder
 from scripted import Held
 from served import service_at
@@ -35,7 +35,7 @@ def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacem
         assert notices == ["", replaced, f"{NOTICE}."]
         page.get_by_role("link", name="Show the sweep that replaces it").click()
         page.wait_for_url(f"**/#/job/{new}**")
-        page.goto(f"{address}/#/job/{interrupted}")
+        reopen(page, f"{address}/#/job/{interrupted}")
         page.get_by_role("button", name="Resume up and down").click()
         page.wait_for_url(f"**/#/job/{new}**")
         page.get_by_role("button", name="Cancel up and down").wait_for()
