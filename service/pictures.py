@@ -137,7 +137,8 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
     """
     along, times, lines = along_of(diagram), diagram.flight_time.values, by_direction(diagram)
     values = diagram[along].values
-    _scale(axes, values, longest or float(np.nanmax(times, initial=0.0)) or PERIOD)
+    highest = longest or float(np.nanmax(times, initial=0.0)) or PERIOD
+    _scale(axes, values, max(highest, PERIOD) if "branch_gamma" in diagram else highest)
     axes.set_ylim(diagram.attrs.get("flight_start"), diagram.attrs.get("flight_stop"))
     for line, size in zip(lines, OVERLAID if len(lines) > 1 else (1.0,), strict=True):
         flights, way = line.flight_time.transpose(along, "flight").values, str(line.direction.values)
@@ -152,6 +153,12 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
         else:
             axes.plot(x, y, alpha=0.8, rasterized=len(x) > MANY_POINTS, zorder=3, **style)
     _draw_periods(axes)
+    if "branch_gamma" in diagram:
+        names = ("gamma", "flight_time", "stable", "violations")
+        cycles = xarray.Dataset({name: diagram.variables[f"branch_{name}"] for name in names})
+        draw_branches(axes, cycles.assign(flight_time=cycles.flight_time.where(cycles.violations == 0)))
+        for style, label in (("-", "stable cycle"), ("--", "unstable cycle")):
+            axes.plot([], [], style, color=LINES["branch"], label=label, markersize=0.0)
     if along == "gamma":
         _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
     axes.set(xlabel=AXES[along], ylabel=FLIGHT)
@@ -373,7 +380,8 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
     for i, strip in enumerate(shown):
         sides = 1.0 + STRIP * (len(shown) - i - np.array([0.8, 0.0]))
         draw_cells(ax, ends, sides, strip[np.newaxis], CLASSES.values(), **above)
-    lines: list[Any] = ax.get_legend_handles_labels()[0] if len(shown) > 1 else []
+    lines: list[Any] = ax.get_legend_handles_labels()[0]
+    lines = lines if len(lines) > 1 else []
     dot = max((line.get_markersize() for line in lines), default=1.0)
     legend_beside(ax, [*lines, *_entries(shown, CLASSES)], 1.05, markerscale=LEGEND_DOT / dot)
 

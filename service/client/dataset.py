@@ -139,7 +139,7 @@ class BounceAccessor:
                 computed = [dataset[name].values for name in ("up", "down", "analytic", "predicted_down")]
                 pictures.draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
             return ax
-        if "branch" in dataset.dims:
+        if "branch" in dataset.dims and "outcome" not in dataset:
             pictures.draw_cycles(ax, dataset)
             return ax
         if "outcome" not in dataset:

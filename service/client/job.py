@@ -299,7 +299,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         kind: Kind | None = None,
         *,
         ax: "Axes | None" = None,
-        branches: "xarray.Dataset | None" = None,
+        branches: "xarray.Dataset | bool | None" = None,
         data: "Data | None" = None,
         frequency: float | None = None,
         **selection: Any,
@@ -316,7 +316,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         ax
             By default the current axes of pyplot if it is in use, else those of a new figure.
         branches
-            From `Client.orbits`, drawn over a diagram: solid where stable.
+            From `Client.orbits`, drawn over a diagram: solid where stable. True: as `diagram` has them.
         data
             Measured points over a diagram or thresholds, with their residuals to the nearest flight or
             threshold: a CSV file, a pandas table or a mapping. Columns: the axis (`gamma` or `omega`),
@@ -363,8 +363,10 @@ class Job(ResultReader, ResultMethods, JobStatus):
         elif kind == "exponents":
             axes = self.result("diagram", **selection).bounce.plot_exponents(ax=ax)
         else:
-            accessor = self.result(kind, **selection).bounce
-            axes = accessor.plot(ax=ax, branches=branches, data=data, frequency=frequency)
+            own = {"branches": branches} if isinstance(branches, bool) else {}
+            given = None if own else branches
+            accessor = self.result(kind, **selection, **own).bounce
+            axes = accessor.plot(ax=ax, branches=given, data=data, frequency=frequency)
         return axes
 
     def _refresh_in_time(self) -> None:

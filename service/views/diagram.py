@@ -1,6 +1,7 @@
 """Bifurcation diagrams: the flights of all cells along one axis of the grid."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
@@ -12,10 +13,11 @@ from kernel.labels import CHAOTIC, LABELS, QUASI_PERIODIC, UNSTABLE
 from kernel.modes import counted
 from kernel.params import Outcome
 from service import pictures
-from service.views import selection
+from service.errors import InvalidRequest
+from service.views import orbits, selection
 from service.views.variables import cells_dataset, coordinate
-from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
-from worker.spec.contact_models import CONTACT_MODELS
+from service.views.view import Call, Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
+from worker.spec.contact_models import CONTACT_MODELS, Rigid, Soft, Stepped
 from worker.study import Array
 from worker.sweep import SweepSpec, schema
 
@@ -40,9 +42,45 @@ class DiagramQuery(Query):
     flight_stop: Annotated[Number | None, Field(description="rad, longest flight shown")] = None
     hide: Hide = None
     caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
+    branches: Annotated[
+        bool,
+        Field(description="along gamma: cycles of one bounce, up to three periods, unstable too"),
+    ] = False
 
 
-def compute(study: selection.Stored[SweepSpec], query: DiagramQuery) -> xarray.Dataset:
+#: Cycles whose branches are in a diagram, and up to how many times its highest Γ they are followed, so that
+#: none ends within it. The page asks for the same.
+_CYCLES: Final = "1-1,1-2,1-3"
+_BEYOND: Final = 2.0
+#: Their variables, in the diagram with the prefix `branch_`.
+_OF_BRANCHES: Final = tuple(orbits.ROWS[name] for name in ("gamma", "flight_time", "stable", "violations"))
+
+
+def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
+    """The branches in a diagram, if any: of the sweep's contact, if its cycles can be followed, else of an
+    ideal plate. Raises InvalidRequest.
+    """
+    if not query.branches:
+        return None
+    model = spec.model
+    if query.along != "gamma" or not isinstance(model, Rigid | Soft | Stepped):
+        raise InvalidRequest.of("branches", "are along gamma, of rigid, soft and stepped contacts")
+    fixed = {axis: point.value for axis, point in selection.fixed_axes(spec, query).items()}
+    own = model.model_dump(include={"restitution", "penetration", "adhesive"}) | {"model": model.kind}
+    is_soft = isinstance(model, Soft) and model.rest_length is None
+    has_own = is_soft or (isinstance(model, Rigid) and model.restitution > 0.0)
+    top = min(_BEYOND * float(spec.axis_values("gamma")[-1]), orbits.MAX_GAMMA)
+    followed = own if has_own and model.restitution < 1.0 else {}
+    return orbits.OrbitsQuery(**fixed, **followed, modes=_CYCLES, gamma_max=top)
+
+
+def parts(study: selection.Stored[SweepSpec], query: DiagramQuery) -> Sequence[Call]:
+    """The branches that workers follow."""
+    wanted = _orbits(study.spec, query)
+    return [] if wanted is None else orbits.orbit_parts(None, wanted)
+
+
+def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: Any) -> xarray.Dataset:
     """The flights of the cells along an axis.
 
     A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
@@ -67,6 +105,10 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery) -> xarray.D
     attrs |= {name: value for name, value in ends.items() if value is not None}
     attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
+    if (wanted := _orbits(spec, query)) is not None:
+        found = orbits.compute_orbits(None, wanted, *followed)
+        result = result.assign({f"branch_{row.name}": found.variables[row.name] for row in _OF_BRANCHES})
+        result.attrs["branches"] = found.attrs["model"]
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
     return result
@@ -110,11 +152,13 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
     selection.fixed_axes(spec, query)
     selection.check_order(query, "flight_start", "flight_stop")
+    wanted = _orbits(spec, query)
+    followed = Estimate({}) if wanted is None else orbits.estimate_orbits(None, wanted)
     directions = selection.directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
     if len(directions) > 1:
         lengths = {"direction": len(directions), **lengths}
-    return Estimate(lengths, (query.along,), query.every, reads=(query.along,))
+    return replace(followed, lengths=lengths, thinned=(query.along,), every=query.every, reads=(query.along,))
 
 
 def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
@@ -172,6 +216,9 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 VIEW: Final = View(
     "diagram", "Bifurcation diagram", SweepSpec, DiagramQuery, compute, estimate,
-    variables=(*(row for row in schema.ARRAYS if row is not schema.END_STATE), selection.LABEL),
-    rows="flight_time", draw=draw, size=SIZE,
+    variables=(
+        *(row for row in schema.ARRAYS if row is not schema.END_STATE), selection.LABEL,
+        *(row._replace(name=f"branch_{row.name}") for row in _OF_BRANCHES),
+    ),
+    rows="flight_time", draw=draw, size=SIZE, activity="read", parts=parts,
 )  # fmt: skip

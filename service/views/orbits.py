@@ -58,7 +58,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
-GammaMax = Annotated[Number, Field(gt=0, le=1e6, description="branches and curves are cut above this Γ")]
+#: Limit on Γ of branches and curves.
+MAX_GAMMA: Final = 1e6
+GammaMax = Annotated[
+    Number, Field(gt=0, le=MAX_GAMMA, description="branches and curves are cut above this Γ")
+]
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
 WithDoubled = Annotated[bool, Field(description="branches of twice the period that begin at flips as well")]
 
@@ -260,7 +264,9 @@ class OrbitsQuery(ContactQuery):
     along: Literal["gamma", "omega", "xi"] = Field(
         "gamma", description="what varies; of a model, omega or xi too, from half to twice its value"
     )
-    gamma: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(None, description="where another varies")
+    gamma: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
+        None, description="where another varies"
+    )
     doubled: WithDoubled = False
 
 
@@ -426,7 +432,7 @@ class CellsQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: FirstDirection = None
-    gamma_max: Annotated[Number, Field(gt=0, le=1e6)] | None = Field(
+    gamma_max: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
         None, description="branches are cut above this Γ; default: 8, of a study of orbits its own"
     )
     doubled: WithDoubled = False

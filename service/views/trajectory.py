@@ -390,5 +390,5 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 VIEW: Final = View(
     "trajectory", "Motion of a cell", _Spec, TrajectoryQuery, compute, estimate,
-    variables=_ROWS, rows="plate", computes=True, draw=draw,
+    variables=_ROWS, rows="plate", activity="trajectory", draw=draw,
 )  # fmt: skip

@@ -126,7 +126,8 @@ class View:
     printed: tuple[str, ...] = ()  # rows of the tables that the command prints; default: `rows`
     draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
-    computes: bool = False  # takes a second or more of the request: few are computed at a time
+    #: Whose threads compute it (`service.api.capacity`); default: of "on demand" with `parts`, else "read".
+    activity: Literal["read", "trajectory"] | None = None
     #: Calls that workers compute first: functions of `worker` with their arguments. `compute` gets the
     #: results in this order. Without calls `compute` does all work, which then takes less than
     #: AT_ONCE_SECONDS. Calls of one function stand together. Calls that read a job's store have its address

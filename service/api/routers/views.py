@@ -212,7 +212,7 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
             return Cost(BASE_MEMORY + memory, memory <= SMALL_CHUNKS)
         return dependencies.cost_of_read(service, job, memory, *estimate.reads)
 
-    @costly(cost, "on demand" if view.parts else "trajectory" if view.computes else "read")
+    @costly(cost, view.activity or ("on demand" if view.parts else "read"))
     def get(service: ServiceDep, job: job_type, query: Annotated[model, Query()]) -> Response:
         return _answer(service, view, study_of(service, job, query), job, query)
 

@@ -1,6 +1,7 @@
 """Cycles in closed form on the page, in a real Chromium: branches over a diagram, folds over thresholds."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import httpx2
@@ -106,6 +107,9 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
         wait_shown(page, omega=0.6)
         wait_for(lambda: len(branch_pixels(page)) > 200)
         screenshot(page, "soft-branches")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download SVG").click()
+        assert "unstable cycle" in Path(download.value.path()).read_text()
         texts = {readout_at(page, at): at for at in branch_pixels(page)[::60]}
         at = next(at for text, at in texts.items() if "unstable" in text and "(1, 1)" in text)
         box = page.locator(PLOT).first.bounding_box()

@@ -122,7 +122,7 @@ export class Diagram extends PlotView {
   /** What is shown: the window, without the flights of hidden modes. */
   filePath(source) {
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false });
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false, branches: this.cycles && true });
   }
 
   read(results) {

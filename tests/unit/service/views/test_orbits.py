@@ -245,6 +245,24 @@ def test_cells_beyond_as_many_branches_as_are_followed_are_named(
     assert doubled.event_gamma.values[-1] == pytest.approx(2.5045676620, abs=1e-9)
 
 
+@for_each("own", [{}, {"model": "rigid", "restitution": 0.3}])
+def test_a_diagram_has_the_branches_of_its_contact(
+    client: TestClient, python_client: Client, own: dict[str, Any]
+):
+    model = {"kind": "rigid", "restitution": own.get("restitution", 0.0)}
+    job = python_client.submit(FIGURE_2 | {"gamma": [1.5, 2.5], "model": model}).wait(progress=False)
+    found = job.diagram(branches=True, progress=False)
+    modes = "1-1,1-2,1-3"
+    asked = python_client.orbits(0.5, 0.26, modes, gamma_max=5.0, progress=False, **own)
+    for name in ("gamma", "flight_time", "stable", "violations"):
+        np.testing.assert_array_equal(found[f"branch_{name}"], asked[name])
+    path, axes = f"/v1/jobs/{job.id}/diagram", job.plot(branches=True)
+    assert "unstable cycle" in client.get(path, params={"branches": True, "format": "svg"}).text
+    assert "unstable cycle" in axes.get_legend_handles_labels()[1]
+    along = {"along": "xi", "gamma": 1.5}
+    assert "branches: are along gamma" in refused(client, path, 422, branches=True, **along)
+
+
 @for_each(("model", "rule"), [
     ({"kind": "ball"}, "model: cycles are followed of rigid and soft contacts; the sweep's is ball"),
     ({"kind": "soft", "rest_length": 10}, "with a rest_length every cell has its own"),
