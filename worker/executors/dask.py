@@ -170,7 +170,9 @@ class Dask:
     def _count(self) -> None:
         """Count the workers, and fail chunks that wait for workers which are gone."""
         threads = self._connection.worker_threads()
-        present = self._present = threads or {}
+        present = threads or {}
+        if threads is not None:  # a scheduler that is too busy to answer keeps its workers
+            self._present = threads
         if present:
             self._roster.keep(present)
         refused = dict(self._roster.refused)
