@@ -82,7 +82,7 @@ def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
     before = set(threading.enumerate())
     with pytest.raises(ClusterLost, match="no scheduler answers at nonsense"):
         Dask("nonsense")
-    assert set(threading.enumerate()) <= before
+    wait_for(lambda: set(threading.enumerate()) <= before)
 
 
 def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path):
