@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 #: Not from `paths`: benchmarks import this module without the tests' import path.
 ROOT = Path(__file__).parents[2]
-#: Seconds until remaining processes are killed.
-LIMIT = 20.0
+#: Seconds until remaining processes are killed, on an overloaded machine.
+LIMIT = 240.0
 CTRL_C = b"\x03"
 #: Output that nobody wants to read after Ctrl-C.
 NOISE = re.compile(r"Traceback|Exception ignored|distributed|Nanny|tornado|leaked|Aborted!", re.IGNORECASE)

@@ -135,11 +135,12 @@ class Held:
 
 
 class Counting:
-    """An executor that records the chunks submitted to it."""
+    """An executor that records the chunks submitted to it, and the sweeps of those computed, in order."""
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
         self.chunks: list[int] = []
+        self.ended: list[str] = []
 
     @property
     def submitted(self) -> int:
@@ -148,10 +149,32 @@ class Counting:
     def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **options: Any) -> "Future[ChunkReport]":
         future = self._executor.submit(spec, chunk, url, **options)
         self.chunks.append(chunk.index)
+        future.add_done_callback(
+            lambda done: done.cancelled() or done.exception() or self.ended.append(spec.name)
+        )
         return future
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._executor, name)
+
+
+class Few(Counting):
+    """Has the first `most` chunks computed; the others wait until they are given back."""
+
+    def __init__(self, executor: Executor, most: int) -> None:
+        super().__init__(executor)
+        self.most = most
+        self._kept: list[Future[ChunkReport]] = []
+
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **options: Any) -> "Future[ChunkReport]":
+        if len({*self.chunks, chunk.index}) <= self.most:
+            return super().submit(spec, chunk, url, **options)
+        self._kept.append(kept := Future())
+        return kept
+
+    def give_back(self) -> None:
+        while self._kept:
+            self._kept.pop().cancel()
 
 
 def wait_for(
@@ -173,15 +196,23 @@ def wait_for(
         time.sleep(min(max(0.005, 0.1 * waited), 0.05))
 
 
+#: UDP's ports of the numbers that this process has taken: no other test gets the same.
+_taken: list[socket.socket] = []
+
+
 def free_port() -> int:
     """A port for a server to listen on later, outside the range from which connections get theirs."""
     for port in random.sample(range(20_000, 32_000), 100):
-        with socket.socket() as probe:
-            try:
+        mark = socket.socket(type=socket.SOCK_DGRAM)
+        try:
+            mark.bind(("127.0.0.1", port))
+            with socket.socket() as probe:
                 probe.bind(("127.0.0.1", port))
-            except OSError:
-                continue
-            return port
+        except OSError:
+            mark.close()
+            continue
+        _taken.append(mark)
+        return port
     raise AssertionError("no free port")
 
 

@@ -46,7 +46,7 @@ def main() -> None:
         tempfile.TemporaryDirectory() as data,
         closing(Inline()) as executor,
         embedded.running(read_settings(data=data, port=0), executor) as url,
-        Client(url) as client,
+        Client(url, timeout=600.0) as client,
     ):
         following.set()
         sys.setprofile(follow)

@@ -246,7 +246,8 @@ def _kill_until(ended: threading.Event, cluster: Any) -> None:
 
 
 def _kill(cluster: Any) -> None:
-    for nanny in list(cluster.workers.values()):
+    """Kill the processes of all nannies, of those too that the cluster has dropped or is just starting."""
+    for nanny in list(cluster._created):
         if nanny.pid:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(nanny.pid, signal.SIGKILL)

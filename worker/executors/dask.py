@@ -28,7 +28,7 @@ from worker.executors.base import (
 )
 from worker.executors.clusters import CreatedCluster, LocalWorkers, SchedulerFile, Target
 from worker.executors.connection import SchedulerConnection
-from worker.executors.plugins import WorkerAdmission, facts, refusal, run_if_admitted
+from worker.executors.plugins import NOT_JUDGED, WorkerAdmission, facts, refusal, run_if_admitted
 from worker.executors.roster import Roster
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkOptions, ChunkReport, TaskError
@@ -37,6 +37,8 @@ from worker.watchdog import call_while_wanted, run_watched
 
 #: A worker that compiles reports it every half second; after this much silence it is done or gone.
 COMPILING_SECONDS: Final = 2.0
+#: Seconds between two looks whether a worker is judged.
+JUDGED_SECONDS: Final = 0.2
 #: How long a count of the workers stays valid.
 COUNT_SECONDS: Final = 1.0
 #: Above the priority of any chunk: a request waits for the result.
@@ -120,10 +122,8 @@ class Dask:
                 self._target, plugin, self._on_event, self._on_lost, security=security, timeout=timeout
             )
             stack.callback(self._connection.close)
-            if is_own:  # no other workers will join
-                reasons = self._connection.client.run(refusal, on_error="ignore")
-                if reasons and all(reasons.values()):
-                    raise ClusterLost(f"no worker can compute: {next(iter(reasons.values()))}")
+            if is_own and (why := self._why_none_computes(10 * timeout)):  # no other workers will join
+                raise ClusterLost(f"no worker can compute: {why}")
             stack.pop_all()
 
     def submit(
@@ -170,7 +170,9 @@ class Dask:
     def _count(self) -> None:
         """Count the workers, and fail chunks that wait for workers which are gone."""
         threads = self._connection.worker_threads()
-        present = self._present = threads or {}
+        present = threads or {}
+        if threads is not None:  # a scheduler that is too busy to answer keeps its workers
+            self._present = threads
         if present:
             self._roster.keep(present)
         refused = dict(self._roster.refused)
@@ -181,6 +183,20 @@ class Dask:
         for task in list(self._tasks.values()) if threads is not None else ():
             if task.others and task.worker is None and not present.keys() & task.others:
                 self._fail(task, WorkerLeft("the workers on which it had not failed are gone"))
+
+    def _why_none_computes(self, seconds: float) -> str:
+        """Why all workers are refused, once they are judged or after `seconds`; empty if one is not refused.
+
+        On a busy machine the judgement takes longer than the time-out of a connection.
+        """
+        deadline = time.monotonic() + seconds
+        while True:
+            reasons: list[str] = list(self._connection.client.run(refusal, on_error="ignore").values())
+            if not reasons or not all(reasons):
+                return ""
+            if NOT_JUDGED not in reasons or time.monotonic() > deadline:
+                return reasons[0]
+            time.sleep(JUDGED_SECONDS)
 
     def _others(self, chunk: Hashable) -> tuple[str, ...]:
         """Workers where a failed chunk has not failed yet; empty for all, or if there are none."""

@@ -36,6 +36,8 @@ from distributed import SchedulerPlugin, Status, WorkerPlugin, get_worker
 ROSTER: Final = "bouncing-spring-workers"
 #: Where a service writes the remaining work in the scheduler's metadata.
 DEMAND: Final = "bouncing-spring-demand"
+#: Why a worker is refused at first.
+NOT_JUDGED: Final = "it is not judged yet"
 #: Seconds between checks of a refused worker: its folder may be mounted late.
 JUDGE_SECONDS: Final = 5.0
 #: Seconds for the last event to reach the scheduler before the process ends, and the longest that chunks may
@@ -60,7 +62,7 @@ class WorkerAdmission(WorkerPlugin):
     ) -> None:
         self._facts, self._stores, self._cache = facts, stores, cache
         self.release = release_of(facts)
-        self.refusal = "it is not judged yet"  # why the worker is refused
+        self.refusal = NOT_JUDGED  # why the worker is refused
         self._removed = False
 
     async def setup(self, worker: Any) -> None:

@@ -1,8 +1,10 @@
 """Workers that are told to leave: no chunk is blamed for it, and every job is computed to its end."""
 
 import signal
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 from blame import blamed, noting_errors
 from dask_processes import Processes, dask_processes, family
@@ -47,9 +49,10 @@ def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[Ba
                     worker = processes.worker()
                     wait_until_computing(executor, processes)
                     for each in family(worker) if whole else family(worker)[:1]:
-                        each.send_signal(signal.SIGTERM)
-                    worker.wait(60)
-                    wait_for(lambda: executor.workers() == 0, seconds=60)
+                        with suppress(psutil.NoSuchProcess):  # the first has ended it
+                            each.send_signal(signal.SIGTERM)
+                    worker.wait(PATIENCE)
+                    wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
                 assert service.job(job).state is JobState.RUNNING
         finally:
             executor.close()
@@ -67,7 +70,8 @@ def test_a_worker_that_is_killed_costs_a_try(tmp_path: Path, errors: list[BaseEx
                 worker = processes.worker()
                 wait_until_computing(executor, processes)
                 for each in reversed(family(worker)):
-                    each.kill()
+                    with suppress(psutil.NoSuchProcess):  # ended with another
+                        each.kill()
                 service.until(job, JobState.FAILED, seconds=PATIENCE)
         finally:
             executor.close()

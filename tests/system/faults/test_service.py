@@ -150,7 +150,7 @@ def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
 
     The last two with SIGINT ignored by whoever started the service: it stops on both signals all the same.
     """
-    sweep = SWEEP | {"gamma": {"start": 2.0, "stop": 5.0, "num": 2000}, "settle": 12_000}
+    sweep = SWEEP | {"gamma": {"start": 2.0, "stop": 5.0, "num": 20_000}, "settle": 12_000}
     with serving(tmp_path) as service:
         path = service.ask("POST", "/v1/jobs", json=sweep).headers["Location"]
         wait_for(lambda: chunks_done(service, path) >= 2)

@@ -6,6 +6,7 @@ from typing import Any
 import httpx2
 import numpy as np
 import pytest
+from scripted import DEADLINE
 from served import computing_at
 from studies import spec_of
 
@@ -29,4 +30,5 @@ def test_the_client_refines_a_window(tmp_path: Path):
         window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)
         assert window.spec["parent"] == job.id != window.id
         assert set(np.unique(window.modes().outcome)) <= {int(outcome) for outcome in Outcome}
-        assert httpx2.get(f"{address}/v1/jobs/{window.id}").json()["kernel_version"] == KERNEL_VERSION
+        view = httpx2.get(f"{address}/v1/jobs/{window.id}", timeout=DEADLINE).json()
+        assert view["kernel_version"] == KERNEL_VERSION

@@ -24,6 +24,7 @@ from service.api import capacity
 from service.api.app import create_app
 from service.background import NICER, Asker, InThisProcess, Processes
 from service.errors import InvalidRequest, NotComputed
+from service.jobs.on_demand import ABANDONED_SECONDS
 from service.server.web_server import limited
 from service.settings import Settings
 from worker.executors.dask import Dask
@@ -182,16 +183,24 @@ def test_a_worker_stops_what_it_computes_when_the_last_client_leaves(tmp_path: P
     with closing(Dask(workers=1)) as executor:
         app = create_app(Settings(data=tmp_path), executor, InThisProcess())
         with listening(app, limited(DEADLINE, 9)) as address:
+            cache = app.state.service.on_demand
+
+            def asked_last() -> float:
+                results = list(cache._results.values())
+                return max((asked for result in results for asked in result.askers.values()), default=0.0)
+
             with closing(HTTPConnection(*address)) as last:
                 with closing(HTTPConnection(*address)) as first:
                     first.request("GET", curves)
                     last.request("GET", curves)
-                for _ in range(2):
+                for timeout in (0.1, DEADLINE):  # the client leaves before the last answer
                     with last.getresponse() as answer:
                         assert answer.status == 202
                         answer.read()
+                    cache._timeout, before = timeout, time.monotonic()
                     last.request("GET", curves)
+                    wait_for(lambda before=before: asked_last() > before)
                 free = executor.call(divmod, 17, 5)
                 with pytest.raises(TimeoutError):
                     free.result(0.5)
-            assert free.result(10) == (3, 2)
+            assert free.result(ABANDONED_SECONDS / 2) == (3, 2)  # and not because nobody has asked lately

@@ -5,7 +5,7 @@ from pathlib import Path
 import httpx2
 import pytest
 from click.testing import CliRunner, Result
-from scripted import Held, wait_for
+from scripted import DEADLINE, Held, wait_for
 from served import service_at
 
 from service import tokens
@@ -33,7 +33,7 @@ def test_the_doctor_asks_the_service_on_the_folder(
     with service_at(tmp_path, Held(capacity=workers)) as url, tokens.recorder(tmp_path) as record:
         record(url)
         if stores:
-            wait_for(lambda: bool(httpx2.get(f"{url}/readyz").json().get("notices")))
+            wait_for(lambda: bool(httpx2.get(f"{url}/readyz", timeout=DEADLINE).json().get("notices")))
         with monkeypatch.context() as patch:
             for name in ("NO_PROXY", "no_proxy", "BOUNCE_URL"):
                 patch.delenv(name, raising=False)

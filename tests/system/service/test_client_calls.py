@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,7 +48,9 @@ def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         service_at(tmp_path_factory.mktemp("data"), Held(), active_jobs=1) as address,
         Client(address) as client,
     ):
-        yield Running(address, client, client.submit(sweep("never ends")))
+        job = client.submit(sweep("never ends"))
+        wait_for(lambda: job.refresh().state == "running")
+        yield Running(address, client, job)
 
 
 def bounce(running: Running, *words: str, token: str | None = TOKEN) -> Result:
@@ -150,14 +153,19 @@ def test_resume_and_delete(idle: Running):
 
 def test_follow_ends_with_the_job(tmp_path: Path):
     held = Held()
-    with service_at(tmp_path, held) as address, Client(address) as client:
+    with (
+        service_at(tmp_path, held) as address,
+        Client(address) as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
         job = client.submit(sweep())
         wait_for(lambda: held.held() > 0)
         states = []
         for now in job.follow():
+            if not states:
+                computing = pool.submit(held.let_go_until, lambda: client.job(job.id).state == "done")
             states.append((now.state, now.progress.chunks_done))
-            while held.held() and now.state == "running":
-                held.let_go()
+        computing.result()
         assert states[-1] == ("done", job.progress.chunks_total)
         assert states == sorted(states, key=lambda state: state[1])
         assert job.spec["gamma"]["num"] == 60

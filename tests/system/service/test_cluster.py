@@ -8,7 +8,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-from scripted import Held
+from scripted import DEADLINE, Held
 from studies import spec_of
 
 from service.client import Client
@@ -81,7 +81,8 @@ def test_the_current_folder_comes_after_the_libraries(tmp_path: Path, monkeypatc
     assert sys.path == before
 
 
-def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
+def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(embedded, "_ANSWER_SECONDS", DEADLINE)  # on a busy machine the service takes longer
     with embedded.running(read_settings(data=tmp_path / "1", port=0), Held()) as url:
         port = int(url.rpartition(":")[2])
         same_folder = read_settings(data=tmp_path / "1", port=0)
@@ -93,7 +94,7 @@ def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
             pass
 
 
-def test_a_port_of_another_program_is_a_startup_error(tmp_path: Path):
+def test_a_port_of_another_program_is_a_startup_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     class Other(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.send_response(200)
@@ -106,10 +107,11 @@ def test_a_port_of_another_program_is_a_startup_error(tmp_path: Path):
         thread = threading.Thread(target=other.serve_forever, args=(0.01,))
         thread.start()
         try:
-            for port, who in (
-                (other.server_port, "another program has it"),
-                (silent.getsockname()[1], "a program that does not answer has it"),
+            for port, seconds, who in (
+                (other.server_port, DEADLINE, "another program has it"),
+                (silent.getsockname()[1], 0.1, "a program that does not answer has it"),
             ):
+                monkeypatch.setattr(embedded, "_ANSWER_SECONDS", seconds)
                 settings = read_settings(data=tmp_path, port=port)
                 with pytest.raises(NotStarted, match=who), embedded.running(settings, Held()):
                     pass

@@ -1,6 +1,7 @@
 """Ctrl-C on a terminal, and SIGTERM: exit code 128 + the signal, no traceback, nothing left."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -70,7 +71,7 @@ def test_a_signal_ends_everything(
     assert ended is not None
     # On an overloaded machine it takes longer than its faults allow.
     assert [fault for fault in ended.faults if not fault.endswith(" s")] == [], ended.output
-    assert ended.seconds < 10.0
+    assert ended.seconds < 10.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
 def test_what_workers_shared_is_removed_without_a_word_whenever_a_command_ends():

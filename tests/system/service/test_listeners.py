@@ -103,7 +103,10 @@ def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
 def test_of_more_listeners_than_allowed_the_others_are_told_to_come_again(tmp_path: Path):
     """At once, with the limit as it is: nobody waits for a place, and every place is free afterwards."""
     allowed = Settings().max_listeners
-    with service_at(tmp_path, Held()) as address, httpx2.Client(base_url=address) as client:
+    with (
+        service_at(tmp_path, Held()) as address,
+        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
+    ):
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
 
         def statuses(count: int) -> Counter[int]:

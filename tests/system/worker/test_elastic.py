@@ -49,12 +49,15 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
     made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="1 s")
     executor = Dask(made[0], kernel_cache=CACHE)
     try:
-        assert executor.state().connected
+        wait_for(lambda: executor.state().connected)
         assert executor.workers() == 0
         with running(tmp_path, executor) as service:
-            assert service.manager.fault() == "no workers yet (0 asked for); jobs wait until there are"
-            job = service.submit(costing(chunks=160, seconds=0.1))  # 16 core-seconds
+            none = "no workers yet (0 asked for); jobs wait until there are"
+            wait_for(lambda: service.manager.fault() == none)
+            long = service.submit(costing(chunks=10_000, seconds=0.1))
             wait_for(lambda: executor.workers() == 3, seconds=PATIENCE)
+            service.manager.cancel(long.id)
+            job = service.submit(costing(omega=0.6))
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total
             wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
@@ -93,8 +96,10 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
         with running(tmp_path, executor) as service:
             job = service.submit(costing(chunks=30, seconds=0.1))
             wait_for(lambda: service.job(job).chunks_done >= 2, seconds=PATIENCE)
-            made[0].close()
+            closing = threading.Thread(target=made[0].close)  # another may be there before it ends
+            closing.start()
             wait_for(again, lambda: f"{faults}", PATIENCE)
+            closing.join()
             service.until(job, JobState.DONE, seconds=PATIENCE)
     finally:
         executor.close()
@@ -137,9 +142,15 @@ def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
         made.append(local_cluster(2))
         executor = Dask(CreatedCluster(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)
         try:
-            name = next(iter(made[0].workers))
-            made[0].sync(made[0].workers[name].close)
-            wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
+            lost = next(iter(made[0].workers.values()))
+            address = lost.worker_address
+            made[0].sync(lost.close)
+
+            def replaced() -> bool:
+                workers = executor._connection.worker_threads() or {}
+                return len(workers) == 2 and address not in workers
+
+            wait_for(replaced, seconds=PATIENCE)
             wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         finally:
             executor.close()

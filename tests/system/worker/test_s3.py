@@ -11,7 +11,7 @@ import pytest
 from extras import SYSTEM
 from fastapi.testclient import TestClient
 from pyarrow import parquet
-from scripted import Held, wait_for
+from scripted import DEADLINE, Held, wait_for
 from served import RAMP, finished, get, service
 from stores import files, store_in
 
@@ -49,7 +49,7 @@ def bucket() -> Iterator[str]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (ENVIRONMENT | {"AWS_ENDPOINT_URL": address}).items():
             patch.setenv(name, value)
-        assert httpx2.put(f"{address}/results").status_code == 200
+        assert httpx2.put(f"{address}/results", timeout=DEADLINE).status_code == 200
         yield address
     backend._bucket.cache_clear()  # its connections are to this server
     server.stop()
@@ -150,7 +150,7 @@ def test_a_bucket_that_fails_in_mid_chunk_costs_no_try(
             away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
             backend._bucket.cache_clear()
             held.let_go()
-            backend._bucket.cache_clear()
+        backend._bucket.cache_clear()  # no other makes one with the address that is away
         held.let_go_until(lambda: get(client, here)["state"] not in ("queued", "running"))
         assert get(client, here)["state"] == "done"
 

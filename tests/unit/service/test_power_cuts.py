@@ -13,7 +13,7 @@ from pathlib import Path
 
 import httpx2
 import pytest
-from scripted import costing, wait_for
+from scripted import DEADLINE, costing, wait_for
 from served import computing_at, done
 from stores import files, is_sound, store_in
 
@@ -102,7 +102,7 @@ def test_a_service_is_ready_after_a_power_cut_and_has_what_was_done(
                     assert is_sound(prepared.store_url, prepared.layout, prepared.plan[index])
                     marked += 1
         with computing_at(folder / DATA) as address:
-            wait_for(lambda at=address: httpx2.get(f"{at}/readyz").status_code == 200, seconds=60)
+            wait_for(lambda at=address: httpx2.get(f"{at}/readyz", timeout=DEADLINE).status_code == 200)
             assert done(address, SWEEP.as_submitted()) == job_id
         assert files(store_in(settings.data, job_id)) == whole
         shutil.rmtree(folder)

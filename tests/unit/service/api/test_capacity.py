@@ -201,7 +201,7 @@ async def test_the_end_of_the_service_waits_for_no_thread_and_begins_nothing():
         await first
     second = asyncio.ensure_future((await limits.acquire("read", 1)).run(hold))
     await asyncio.sleep(0)
-    timer = threading.Timer(10.0, go.set)  # what waits for the thread ends, too
+    timer = threading.Timer(DEADLINE / 4, go.set)  # what waits for the thread ends, too
     timer.start()
     try:
         limits.close()
@@ -359,8 +359,14 @@ def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: P
 def test_an_answer_that_nobody_reads_ends(tmp_path: Path):
     """The client's connection is closed, and what its answer took is free again."""
     app = create_app(Settings(data=tmp_path), Held())
+    held = []
+
+    def answer(*_: object, **__: object) -> Response:
+        held.append(app.state.service.capacity.used)
+        return Response(bytes(64 * MB))
+
     with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 9, stall=0.2)) as address:
-        patch.setattr("service.api.routers.views.Response", lambda *_, **__: Response(bytes(64 * MB)))
+        patch.setattr("service.api.routers.views.Response", answer)
         capacity = app.state.service.capacity
         body = b'{"gamma": 2.0, "omega": 0.5, "xi": 0.26}'
         request = (
@@ -369,7 +375,7 @@ def test_an_answer_that_nobody_reads_ends(tmp_path: Path):
         )
         with socket.create_connection(address, timeout=DEADLINE) as connection:
             connection.sendall(request)
-            wait_for(lambda: capacity.used > MB)
-            wait_for(lambda: capacity.used == 0)
+            wait_for(lambda: held and capacity.used == 0)
+            assert held[0] > MB
             with pytest.raises(ConnectionResetError):
                 b"".join(iter(lambda: connection.recv(MB), b""))

@@ -196,7 +196,7 @@ def test_a_budget_leaves_what_somebody_else_wants(tmp_path_factory: pytest.TempP
         if how == "submitted":
             queued = client.submit(small)
         else:
-            too_short(client)
+            wait_for(lambda: too_short(client) or list(client.jobs(state="cancelled")))  # it had begun
             (queued,) = client.jobs(state="cancelled")
             queued.resume()
         too_short(client)

@@ -327,7 +327,7 @@ def test_stopping_is_prompt(tmp_path: Path):
     with running(tmp_path, Held(), heartbeat_seconds=2 * DEADLINE) as service:
         service.until(service.submit(sweep()), JobState.RUNNING)
         service.manager.stop()
-        assert not service.manager.supervisor._thread.is_alive()
+        wait_for(lambda: not service.manager.supervisor._thread.is_alive())
 
 
 # Jobs as users change them, while nothing is computed

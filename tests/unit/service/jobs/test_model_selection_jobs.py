@@ -78,7 +78,7 @@ def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path)
         wait_for(undecided.choosing.is_set)
         client.post(f"{here}/cancel")
         other = client.post("/v1/jobs", json=SWEEP | {"model": {"kind": "rigid"}}).headers["Location"]
-        wait_for(lambda: client.get(other).json()["state"] == "running", seconds=10)
+        wait_for(lambda: client.get(other).json()["state"] == "running")
 
 
 def test_the_job_shows_what_was_chosen_and_why(done):

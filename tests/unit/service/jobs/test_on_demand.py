@@ -46,14 +46,18 @@ def test_a_request_that_gives_up_waiting_loses_nothing():
     assert len(pool.futures) == 2
 
 
-def test_a_result_that_nobody_asks_for_any_more_is_given_up():
+def test_a_result_that_nobody_asks_for_any_more_is_given_up(monkeypatch: pytest.MonkeyPatch):
+    now = [100.0]
+    monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(on_demand, "LOOK_SECONDS", 0.01)
     pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01, abandoned=0.4)
-    began = time.monotonic()
-    while time.monotonic() - began < 1.0:
+    cache = OnDemandCache(pool, timeout=0.05, abandoned=4.0)
+    for _ in range(3):
         with pytest.raises(Pending):
             cache.get("key", TWO)
+        now[0] += 3.0
     assert len(pool.futures) == 2
+    now[0] += 2.0
     wait_for(lambda: all(future.cancelled() for future in pool.futures))
     with pytest.raises(Pending):
         cache.get("key", TWO)
