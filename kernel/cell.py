@@ -22,6 +22,7 @@ MODE_PERIODS: Final = 24  # plate periods; more flights are considered if MODE_F
 KEPT_FLIGHTS: Final = 4096  # most that are considered; a landing at e = 0.95 is followed by 400 hops
 FEWEST_PERIODS: Final = 3  # plate periods; kept flights that reach back less decide nothing
 QUIET: Final = 10.0  # plate periods; a contact this long, over the last half of the window, ends all flights
+FADED: Final = 0.5  # ratio of the longest late flight to the longest early one, of hops that die out
 GROWS: Final = -1e-9  # relative margin below which a motion on the plate takes off, however slowly it grows
 CACHE_SIZE: Final = 64  # numbers in the cache of a model for a cell (`interface.replay`)
 
@@ -307,15 +308,31 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) 
     return still > (QUIET if window.certify else max(0.5 * (run.end - run.settle), QUIET))
 
 
+@jit
+def fades(run: Progress, flights: Flights, first: int) -> bool:
+    """Whether the longest of the last third of a run's flights is much shorter than that of the first."""
+    kept = min(run.recorded, flights.size)
+    begin, part = run.recorded - kept, kept // 3
+    late = _longest(flights, first, run.recorded - part, run.recorded)
+    return late < FADED * _longest(flights, first, begin, begin + part)
+
+
+@jit
+def _longest(flights: Flights, first: int, begin: int, end: int) -> float:
+    """The longest of a run's flights from `begin` to `end`, rad; 0 without one."""
+    longest = 0.0
+    for i in range(begin, end):
+        longest = max(longest, flights.time[slot(flights, first, i)])
+    return longest
+
+
 @allocating
 def _counted(
     flights: Flights, first: int, recorded: int, last: int, micro_flight: float
 ) -> tuple[Any, Any, Any]:
     """Times, take-off phases and periods, arrays (n,), of the `last` flights that count for the mode."""
     kept = min(recorded, last)
-    longest = 0.0
-    for i in range(recorded - kept, recorded):
-        longest = max(longest, flights.time[slot(flights, first, i)])
+    longest = _longest(flights, first, recorded - kept, recorded)
     shortest = micro_flight if longest > micro_flight else 0.0
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)
     count = 0

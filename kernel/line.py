@@ -115,9 +115,14 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
 def _write_record(
     spring: Any, line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window
 ) -> None:
-    """Write the record of the i-th cell, whose run has ended; what still grows on the plate settles."""
+    """Write the record of the i-th cell, whose run has ended.
+
+    What still grows on the plate settles; so do hops that die out where the spring can stay on the plate.
+    """
     cell.write_record(line, i, run, flights, first, window)
-    if line.outcome[i] == cell.AT_REST and relative_margin(spring) < cell.GROWS:
+    outcome, margin = line.outcome[i], relative_margin(spring)
+    grows = outcome == cell.AT_REST and margin < cell.GROWS
+    if grows or (outcome == cell.APERIODIC and margin > 0.0 and cell.fades(run, flights, first)):
         line.outcome[i] = cell.SETTLING
 
 

@@ -4,7 +4,6 @@ import asyncio
 import shutil
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
-from functools import cache, partial
 from operator import attrgetter
 from typing import Final
 
@@ -93,9 +92,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     app.add_middleware(Gate, metrics=metrics, settings=settings, tokens=tokens)
     if settings.cors_origins:
         app.add_middleware(CORSMiddleware, allow_origins=settings.cors_origins, **CORS)
-    app.openapi = cache(  # type: ignore[method-assign]
-        partial(openapi.document, app, needs_token=bool(tokens))
-    )
+    app.openapi = openapi.kept_document(app, needs_token=bool(tokens))  # type: ignore[method-assign]
     return app
 
 

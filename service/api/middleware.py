@@ -5,6 +5,7 @@ could otherwise bind their domain name to 127.0.0.1 (DNS rebinding) and read the
 other machines can reach requires a token (`settings`).
 """
 
+import asyncio
 import hmac
 import logging
 import sys
@@ -46,6 +47,9 @@ _HEADERS: Final = {
 
 #: Statuses of requests whose body may not have been read: the connection closes.
 _UNREAD: Final = frozenset({408, 413, 415})
+
+#: To a client whose request is cancelled by the shutdown, after `shutdown_seconds`.
+_STOPPING: Final = "the service stops: repeat the request"
 
 #: For starlette's CORSMiddleware: what web pages of the origins in the settings may send and read.
 CORS: Final[dict[str, Any]] = {
@@ -99,6 +103,10 @@ class Gate:
 
         try:
             await self._answer(inner, headers, receive_until_ended, send_completed)
+        except asyncio.CancelledError:
+            if status:
+                raise
+            await ProblemResponse(503, _STOPPING)(inner, receive, send_completed)
         except Exception:
             log.exception("internal error", extra={"fields": {"id": request_id}})
             if status:

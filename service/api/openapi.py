@@ -5,6 +5,9 @@ with defaults that are objects in the description.
 """
 
 import json
+from collections.abc import Callable
+from functools import cache, partial
+from threading import Lock
 from typing import Any, Final
 
 from fastapi import FastAPI
@@ -63,6 +66,17 @@ EXAMPLES: Final[dict[type[BaseModel], dict[str, Any]]] = {
     Window: {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
     TrajectorySpec: {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
 }
+
+
+def kept_document(app: FastAPI, *, needs_token: bool) -> Callable[[], dict[str, Any]]:
+    """The API document, made by the first of several threads that ask: FastAPI's functions allow one."""
+    make, lock = cache(partial(document, app, needs_token=needs_token)), Lock()
+
+    def made_once() -> dict[str, Any]:
+        with lock:
+            return make()
+
+    return made_once
 
 
 def document(app: FastAPI, *, needs_token: bool) -> dict[str, Any]:

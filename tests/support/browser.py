@@ -17,7 +17,7 @@ ARGUMENTS = [
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
 #: Timeout of every wait, ms, on an overloaded machine.
-TIMEOUT_MS = 120_000
+TIMEOUT_MS = 300_000
 
 
 def _find_chromium() -> str | None:

@@ -187,7 +187,7 @@ def _refine_line(
     cell = Cell(float(gamma[before]), *map(float, values))
     beyond = float(gamma[after])
     if spec.ramp_axis is None:
-        return _bisect(spec, cell, beyond, tolerance)
+        return _search_upward(spec, cell, gamma[after:], tolerance)
     for i in range(before, len(gamma)):
         state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=i)
         start = Start(state["end_state"], cell._replace(gamma=float(gamma[i])))
@@ -195,6 +195,23 @@ def _refine_line(
         if not down or _run(spec, start.cell, start)[0] in BOUNCING:
             return _ramp_on(spec, start, beyond - start.cell.gamma, tolerance, down)
     return math.nan, Status.NOT_REFINED
+
+
+def _search_upward(
+    spec: SweepSpec, cell: Cell, values: NDArray[np.float64], tolerance: float
+) -> tuple[float, Status]:
+    """From rest: the threshold between `cell`, at rest, and the first of these higher gammas that bounces.
+
+    The window of a cell of the sweep may have been too short to show that its bouncing ends.
+    """
+    for gamma in map(float, values):
+        outcome, _ = _run(spec, cell._replace(gamma=gamma), None)
+        if outcome in BOUNCING:
+            return _bisect(spec, cell, gamma, tolerance)
+        if outcome != Outcome.AT_REST:
+            return math.nan, _BY_OUTCOME[outcome]
+        cell = cell._replace(gamma=gamma)
+    return math.nan, Status.ABOVE
 
 
 def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> tuple[float, Status]:

@@ -163,7 +163,7 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         page.get_by_text("The time must be such as 90s, 5m or 1h.").wait_for()
         page.get_by_label("Time", exact=True).fill("5m")
         page.get_by_role("button", name="Compare settings").click()
-        page.locator("tr.recommended").wait_for(timeout=120_000)
+        page.locator("tr.recommended").wait_for()
         coarsest = page.locator("tbody tr").last
         cells = coarsest.locator("td").nth(1).inner_text()
         assert 1 <= int(cells) < 120
@@ -171,19 +171,22 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
 
 
-def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: str):
+def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: str, loop: str):
+    """The kernel is that of `loop`: with its compilation, a slow machine had no time for a second level."""
     with opened(browser, f"{address}/#/new") as page:
+        page.get_by_label("contact model").select_option("rigid")
         page.get_by_label("given as").nth(1).select_option("a range")
-        fields = {"gamma.num": 900, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 300}
+        fields = {"gamma.num": 450, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 100}
         for name, value in fields.items():
             page.locator(f"[data-field='{name}']").fill(str(value))
         page.get_by_text("What does a time buy?").click()
-        page.get_by_label("Time", exact=True).fill("12s")
-        page.get_by_role("button", name="Compute within it").click()
+        page.get_by_label("Time", exact=True).fill("60s")
+        with page.expect_response(lambda answer: "budget=" in answer.url) as posted:
+            page.get_by_role("button", name="Compute within it").click()
+        coarsest = view(address, posted.value.json()["id"])
         page.locator(".notice", has_text=re.compile("s left")).wait_for()
-        coarsest = page.url
         page.locator(".notice", has_text=re.compile("How wrong|no audit")).wait_for()
-        assert page.url != coarsest
+        assert posted.value.json()["id"] not in page.url
         cells = page.locator(".amount").inner_text()
         page.goto(coarsest)  # opened on purpose: it stays
         page.get_by_text("Show the finest level of its time").click()
@@ -937,7 +940,7 @@ def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
         page.goto(view(address, job))
         wait_shown(page, along="gamma")
         assert colours(page) > 10
-        with page.expect_download(timeout=60_000) as download:
+        with page.expect_download() as download:
             page.get_by_role("button", name="Download CSV", exact=True).click()
         with Path(download.value.path()).open() as table:
             assert next(table).replace('"', "").startswith("flight,direction,omega,xi,gamma,flight_time,")

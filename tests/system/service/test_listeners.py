@@ -1,18 +1,23 @@
-"""Many who listen to the events of jobs."""
+"""Many who listen to the events of jobs, and requests at the shutdown."""
 
 import asyncio
 import json
 import threading
 import time
 from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx2
+import pytest
 from scripted import DEADLINE, Held, sweep, wait_for
 from served import service_at
 
+from service.api import app as application
+from service.jobs.on_demand import OnDemandCache
 from service.settings import Settings
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
@@ -98,6 +103,22 @@ def test_listeners_are_limited_and_do_not_delay_the_shutdown(tmp_path: Path):
             assert "at most 1 at a time; poll the job" in refused.json()["detail"]
             began = time.monotonic()
         assert time.monotonic() - began < DEADLINE  # and does not wait shutdown_seconds for the open response
+
+
+def test_a_request_that_outlasts_the_shutdown_is_told_to_come_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(application, "OnDemandCache", partial(OnDemandCache, timeout=DEADLINE))
+    asked, executor = threading.Event(), Held()
+    monkeypatch.setattr(executor, "call", lambda *_: asked.set() or Future())
+    with ThreadPoolExecutor(1) as client:
+        with service_at(tmp_path, executor, shutdown_seconds=0.1) as address:
+            path = f"{address}/v1/orbits?omega=0.6&xi=0.05&model=soft"
+            waiting = client.submit(httpx2.get, path, timeout=DEADLINE)
+            assert asked.wait(DEADLINE)
+        answer = waiting.result()
+    assert (answer.status_code, int(answer.headers["Retry-After"]) > 0) == (503, True)
+    assert answer.json()["detail"] == "the service stops: repeat the request"
 
 
 def test_of_more_listeners_than_allowed_the_others_are_told_to_come_again(tmp_path: Path):

@@ -56,6 +56,15 @@ def test_a_motion_that_still_grows_on_the_plate_is_not_at_rest(plate: str):
     assert fixed.outcome.tolist() == [Outcome.SETTLING, Outcome.SETTLING, Outcome.AT_REST]
 
 
+@for_each("plate", [name for name in PLATES if "ball" not in name])
+def test_hops_that_die_out_below_eq_25_end_at_rest(plate: str):
+    """At low damping they outlive the window: 5 %, 0.4 % and 1.2 % below."""
+    cells: Any = ([5.585, 3.495, 0.6047], [1.5867, 1.2794, 1.111], [7.86e-4, 1.417e-3, 8.09e-4])
+    few = type(PLATES[plate])(*(x if isinstance(x, bool) else x[:3] for x in PLATES[plate]))
+    line = run_line(*map(np.array, cells), plate=few, carry=False, **{**CERTIFY, "settle_until": 5000})
+    assert line.outcome.tolist() == [Outcome.AT_REST] * 3
+
+
 @for_each("plate", PLATES)
 def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str):
     """LATER is a multiple of most cycles' periods, so that both windows end at the same flight."""

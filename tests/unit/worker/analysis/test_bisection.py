@@ -113,6 +113,17 @@ def test_bouncing_ends_at_the_fold_of_its_cycle(tmp_path: Path, window: dict[str
     np.testing.assert_allclose(found.down, list(folds.values()), rtol=0, atol=1e-5)
 
 
+def test_hops_that_outlive_the_window_are_no_threshold(tmp_path: Path):
+    """The lowest cells of the grid that bounce in so short a window come to rest."""
+    gamma, window = {"start": 0.1, "stop": 1.5, "num": 141}, {"settle": 20, "observe": 20}
+    spec, url = computed(tmp_path, gamma=gamma, omega=[0.9, 1.1], xi=0.005, **window)
+    onset = threshold(np.array(spec.omega), 0.005)
+    outcome = store.read_slice(url, ("outcome",), direction=0, xi=0)["outcome"]
+    lowest = spec.axis_values("gamma")[np.argmax(outcome != Outcome.AT_REST, axis=1)]
+    assert (lowest < 0.99 * onset).all()
+    np.testing.assert_allclose(thresholds(spec, url, 1e-5).up, onset, rtol=0, atol=1e-5)
+
+
 def test_from_rest_the_change_is_bisected_between_two_grid_cells(tmp_path: Path):
     spec, url = computed(
         tmp_path, gamma={"start": 0.5, "stop": 1.5, "num": 11}, omega=[0.5, 0.7, 1.0], xi=0.26
