@@ -95,6 +95,7 @@ LOG_RANGE: Final = 1000.0
 #: Logarithmic axes with a smaller ratio have ticks in equal steps. First digits of ticks.
 LINEAR_RANGE: Final = 30.0
 ROUND: Final = (1.0, 2.0, 5.0)
+ROUND_RANGE: Final = 1500.0  # three decades, and half a cell at each end
 
 #: Dots per inch of a picture.
 DPI: Final = 200
@@ -215,8 +216,9 @@ def _make_logarithmic(axes: "Axes", name: str) -> None:
     low = low if low > 0.0 else high / LOG_RANGE
     getattr(axes, f"set_{name}lim")(low, high)
     getattr(axes, f"set_{name}scale")("log")
-    axis, is_long = getattr(axes, f"{name}axis"), high > LINEAR_RANGE * low
-    axis.set_major_locator(LogLocator(subs=ROUND) if is_long else MaxNLocator(8, steps=[*ROUND, 10.0]))
+    axis, ratio = getattr(axes, f"{name}axis"), high / low
+    digits = LogLocator(subs=ROUND) if ratio <= ROUND_RANGE else LogLocator()
+    axis.set_major_locator(digits if ratio > LINEAR_RANGE else MaxNLocator(8, steps=[*ROUND, 10.0]))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -448,7 +450,7 @@ def _draw_threshold_curve(ax: "Axes", xi: float) -> "list[Artist]":
     """Γ_th of Eq. 25 over Ω, for a legend."""
     ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # those of the cells
     low, high = ax.get_ylim()
-    omega = np.geomspace(max(low, high / LOG_RANGE), high, 2000)
+    omega = np.geomspace(low if low > 0.0 else high / LOG_RANGE, high, 2000)
     onsets = threshold(omega, xi)
     ax.plot(onsets, omega, color="white", linewidth=2.4)
     return ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")  # type: ignore[return-value]
