@@ -65,12 +65,11 @@ CLASS_NAMES: Final = (
 
 #: Settings of matplotlib for files. Text is text in an SVG, and embedded as a font in a PDF.
 STYLE: Final[dict[Any, Any]] = {
-    "font.family": "STIXGeneral", "mathtext.fontset": "stix",
+    "font.family": "serif", "mathtext.fontset": "stix",
+    "font.serif": ["STIXGeneral", "STIX Two Text", "Times New Roman", "Liberation Serif"],
     "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True,
     "svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
-FONT: Final = "STIXGeneral"
-TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
 
 AXES: Final = {
     "gamma": r"plate acceleration over gravity $\Gamma$",

@@ -28,6 +28,7 @@ from kernel.params import Outcome
 from service.figures import tradeoff
 from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
 from service.views import diagram, modes, multistability
+from service.views.encode import picture
 from service.views.selection import LABEL
 from worker.sweep import SweepSpec
 
@@ -234,3 +235,8 @@ def test_a_logarithmic_map_has_numbers_and_its_threshold_all_over(low: float, hi
         places = np.array([label.get_window_extent().get_points()[:, side] for label in shown])
         assert len(places) >= 4
         assert (places[1:, 0] - places[:-1, 1] > 2).all()
+
+
+def test_an_svg_names_fonts_for_viewers_without_the_first():
+    svg = picture((2.0, 2.0), lambda figure: figure.text(0.5, 0.5, "Γ"), "svg", {"release": ""}).decode()
+    assert "'STIXGeneral', 'STIX Two Text', 'Times New Roman', 'Liberation Serif', serif" in svg
