@@ -99,7 +99,8 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
             "sentence": _sentence(same, known, moved, shared) if common.any() else _APART,
-            "other": query.other, "other_direction": way, "other_xi": other_xi.value, "every": query.every,
+            "other": query.other, "other_direction": way, "other_xi": other_xi.value,
+            "other_model": other.spec.model.kind, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
         },
     )  # fmt: skip
@@ -195,7 +196,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     axes = figure.subplots()
     names = [str(name) for name in result.data_vars if str(name).startswith("other_")]
     shown = result[names].rename({name: name.removeprefix("other_") for name in names})
-    draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(hide="same"))
+    attrs = {"hide": "same", "model": result.attrs["other_model"]}
+    draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(attrs))
     xi = " and ".join(f"{value:g}" for value in sorted({result.xi.item(), result.attrs["other_xi"]}))
     place = f"{SYMBOLS['xi']} = {xi}, where modes differ: those of the other sweep"
     sentence = result.attrs["sentence"].replace("; ", ";\n")  # which is wider than the picture

@@ -27,9 +27,9 @@ from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.figures import tradeoff
 from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
-from service.views import diagram, modes, multistability
+from service.views import diagram, modes, multistability, threshold
 from service.views.encode import picture
-from service.views.selection import LABEL
+from service.views.selection import LABEL, Stored
 from worker.sweep import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
@@ -235,6 +235,23 @@ def test_a_logarithmic_map_has_numbers_and_its_threshold_all_over(low: float, hi
         places = np.array([label.get_window_extent().get_points()[:, side] for label in shown])
         assert len(places) >= 4
         assert (places[1:, 0] - places[:-1, 1] > 2).all()
+
+
+def test_a_ball_has_no_threshold_of_a_spring(tmp_path: Path):
+    """Thresholds of a sweep that has not begun, a map, and a diagram."""
+    lines = []
+    for kind in ("rigid", "ball"):
+        study = Stored(SweepSpec(**CELL | {"model": {"kind": kind}}), str(tmp_path / "none"))
+        figure, (_, middle, right) = Figure(), Figure().subplots(1, 3)
+        found = threshold.compute(study, threshold.ThresholdQuery())
+        threshold.draw(found, figure)
+        (axes,) = figure.axes
+        assert [text.get_text() for text in axes.texts] == ["incomplete: cells are not computed yet"]
+        draw_modes(middle, wide_map(0.1, 10.0).assign_attrs(model=kind))
+        times = wide_map(0.1, 10.0).isel(omega=0).assign(flight_time=(("gamma", "flight"), np.ones((20, 1))))
+        draw_diagram(right, times.assign_coords(direction="rest").assign_attrs(model=kind))
+        lines.append([len(each.lines) for each in (axes, middle, right)])
+    assert lines == [[2, 2, 2], [0, 0, 1]]
 
 
 def test_an_svg_names_fonts_for_viewers_without_the_first():
