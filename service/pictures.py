@@ -63,14 +63,14 @@ CLASS_NAMES: Final = (
     "longer", *PALETTE["labels"], *(f"multiplier-{margin:g}" for margin in MARGINS),
 )  # fmt: skip
 
-#: Settings of matplotlib for files. Text is text in an SVG, and embedded as a font in a PDF.
+#: Settings of matplotlib for files. Text is text in an SVG, and embedded as a font in a PDF. Matplotlib has
+#: the first font; a viewer of an SVG without it takes the next one.
 STYLE: Final[dict[Any, Any]] = {
-    "font.family": "STIXGeneral", "mathtext.fontset": "stix",
+    "font.family": "serif", "mathtext.fontset": "stix",
+    "font.serif": ["STIXGeneral", "STIX Two Text", "Times New Roman", "Liberation Serif"],
     "xtick.direction": "in", "ytick.direction": "in", "xtick.top": True,
     "svg.hashsalt": "bouncing-spring", "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
-FONT: Final = "STIXGeneral"
-TEXT: Final[dict[str, Any]] = {"fontfamily": FONT, "math_fontfamily": "stix"}
 
 AXES: Final = {
     "gamma": r"plate acceleration over gravity $\Gamma$",
@@ -92,8 +92,10 @@ STRIP: Final = 0.022
 
 #: Ratio of the ends of a logarithmic axis whose linear one begins at zero.
 LOG_RANGE: Final = 1000.0
-#: Logarithmic axes with a smaller ratio have ticks in equal steps. First digits of ticks.
+#: Logarithmic axes with a smaller ratio have ticks in equal steps, with a larger one than the second only at
+#: powers of ten. First digits of ticks.
 LINEAR_RANGE: Final = 30.0
+ROUND_RANGE: Final = 1500.0  # three decades, and half a cell at each end
 ROUND: Final = (1.0, 2.0, 5.0)
 
 #: Dots per inch of a picture.
@@ -159,9 +161,23 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
         draw_branches(axes, cycles.assign(flight_time=cycles.flight_time.where(cycles.violations == 0)))
         for style, label in (("-", "stable cycle"), ("--", "unstable cycle")):
             axes.plot([], [], style, color=LINES["branch"], label=label, markersize=0.0)
-    if along == "gamma":
+    if along == "gamma" and _has_spring(diagram):
         _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
     axes.set(xlabel=AXES[along], ylabel=FLIGHT)
+
+
+def _has_spring(result: xarray.Dataset) -> bool:
+    """Whether Eq. 25 is of what a result shows; a ball has no spring."""
+    return result.attrs.get("model") != "ball"
+
+
+def draw_incomplete(axes: "Axes", reason: str) -> None:
+    """Over the axes, that the result is incomplete, and why."""
+    axes.annotate(
+        f"incomplete: {reason}", (0.5, 0.5), xycoords="axes fraction", ha="center", color=WARNING,
+        fontsize=11, zorder=5,
+        bbox={"facecolor": "white", "edgecolor": WARNING, "linewidth": 0.6, "alpha": 0.9, "pad": 5},
+    )  # fmt: skip
 
 
 def dot_of(cells: int) -> float:
@@ -215,8 +231,9 @@ def _make_logarithmic(axes: "Axes", name: str) -> None:
     low = low if low > 0.0 else high / LOG_RANGE
     getattr(axes, f"set_{name}lim")(low, high)
     getattr(axes, f"set_{name}scale")("log")
-    axis, is_long = getattr(axes, f"{name}axis"), high > LINEAR_RANGE * low
-    axis.set_major_locator(LogLocator(subs=ROUND) if is_long else MaxNLocator(8, steps=[*ROUND, 10.0]))
+    axis, ratio = getattr(axes, f"{name}axis"), high / low
+    digits = LogLocator(subs=ROUND) if ratio <= ROUND_RANGE else LogLocator()
+    axis.set_major_locator(digits if ratio > LINEAR_RANGE else MaxNLocator(8, steps=[*ROUND, 10.0]))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -408,7 +425,7 @@ def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
 
 
 def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
-    """The cells of the plane (Γ, Ω) in the colours of their classes, and Eq. 25 over them.
+    """The cells of the plane (Γ, Ω) in the colours of their classes, and of a spring Eq. 25 over them.
 
     With `multiplier`, certified cells by their margin of stability. With the attribute `hide`, missing cells
     are left out, as hidden cells are missing.
@@ -428,7 +445,9 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     for name, axis in (("x", "gamma"), ("y", "omega")):
         if _is_geometric(modes[axis].values):
             _make_logarithmic(ax, name)
-    handles = [*_entries(cells, classes), *_draw_threshold_curve(ax, float(modes.xi))]
+    handles = _entries(cells, classes)
+    if _has_spring(modes):
+        handles += _draw_threshold_curve(ax, float(modes.xi))
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
             *corners, np.ma.masked_where(~differ, differ),
@@ -448,7 +467,7 @@ def _draw_threshold_curve(ax: "Axes", xi: float) -> "list[Artist]":
     """Γ_th of Eq. 25 over Ω, for a legend."""
     ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # those of the cells
     low, high = ax.get_ylim()
-    omega = np.geomspace(max(low, high / LOG_RANGE), high, 2000)
+    omega = np.geomspace(low if low > 0.0 else high / LOG_RANGE, high, 2000)
     onsets = threshold(omega, xi)
     ax.plot(onsets, omega, color="white", linewidth=2.4)
     return ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")  # type: ignore[return-value]
@@ -493,7 +512,7 @@ def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
             ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
     ax.set(xlabel=AXES["omega"], ylabel=r"threshold $\Gamma$", title=values_at(thresholds, ["xi"]))
     ax.set_ylim(thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
-    ax.legend(frameon=False)
+    ax.legend(*ax.get_legend_handles_labels(), frameon=False)  # of a ball there may be none
 
 
 def edges(values: NDArray[np.float64]) -> NDArray[np.float64]:

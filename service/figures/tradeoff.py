@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import xarray
-from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 
 from kernel.params import Outcome
-from service.pictures import ATTRACTORS, FONT, TEXT
+from service.pictures import ATTRACTORS
 from service.views.variables import dataset, row, variables
 from service.views.view import Estimate, Query, View
 from worker.analysis.deviation import percentile
@@ -203,10 +202,10 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
         axes.set(xscale="log", yscale="log", xlim=ERRORS, ylim=COSTS)
         axes.grid(color="0.92", linewidth=0.6)
         axes.set_axisbelow(True)
-        axes.set_title(purpose.title, loc="left", fontsize=11, **TEXT)
-        axes.set_xlabel("error of flight times (rad): median, and to the 95th percentile", **TEXT)
+        axes.set_title(purpose.title, loc="left", fontsize=11)
+        axes.set_xlabel("error of flight times (rad): median, and to the 95th percentile")
         axes.text(0.985, 0.975, "better: down and to the left", transform=axes.transAxes, ha="right",
-                  va="top", **TEXT)  # fmt: skip
+                  va="top")  # fmt: skip
         lines: dict[tuple[str, bool], list[int]] = {}  # joined over the steps or the depths
         for i, setting in enumerate(SETTINGS):
             if setting.purpose == name:
@@ -215,15 +214,14 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
                 lines.setdefault(key, []).append(i)
         for (series, adhesive), line in lines.items():
             _draw_line(axes, SERIES[series], adhesive, found, line)
-    panels[0].set_ylabel("core-µs per cell per plate period", fontsize=11, **TEXT)
+    panels[0].set_ylabel("core-µs per cell per plate period", fontsize=11)
     handles = [
         Line2D([], [], color=series.colour, marker=series.marker, label=series.label, linewidth=1)
         for series in SERIES.values()
     ]
     handles.append(Line2D([], [], color="black", marker="o", markerfacecolor="white", linewidth=0,
                           label="hollow: nonadhesive"))  # fmt: skip
-    font = FontProperties(family=FONT, size=10, math_fontfamily="stix")
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), prop=font, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 
 def _draw_line(
@@ -235,7 +233,7 @@ def _draw_line(
     for i in (i for i in line if error[i] == 0.0):
         axes.axhline(cost[i], color=series.colour, linewidth=1, linestyle="--")
         axes.annotate(f"exact soft, the reference: {cost[i]:.2g} µs", (ERRORS[1] / 1.5, cost[i]), (0, 4),
-                      textcoords="offset points", fontsize=9, ha="right", **TEXT)  # fmt: skip
+                      textcoords="offset points", fontsize=9, ha="right")  # fmt: skip
     to_95 = np.nan_to_num(error_95[points], nan=ERRORS[1]) - error[points]
     axes.errorbar(
         error[points], cost[points], xerr=[np.zeros(len(points)), to_95], color=series.colour,
@@ -247,7 +245,7 @@ def _draw_line(
     up += 0 if adhesive or right > 0 else 6
     for i in points:
         axes.annotate(_label(SETTINGS[i]), (error[i], cost[i]), (right, up),
-                      textcoords="offset points", fontsize=9, ha=series.text_side, **TEXT)  # fmt: skip
+                      textcoords="offset points", fontsize=9, ha=series.text_side)  # fmt: skip
 
 
 def _label(setting: Setting) -> str:

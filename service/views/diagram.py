@@ -205,13 +205,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     if not result.attrs["complete"]:
         missing = int(np.count_nonzero(result.outcome.values == Outcome.MISSING))
         total = result.outcome.size
-        colour = pictures.WARNING
         reason = f"{missing:,} of {total:,} cells are not computed yet" if missing else "being repaired"
-        axes.annotate(
-            f"incomplete: {reason}", (0.5, 0.5), xycoords="axes fraction", ha="center", color=colour,
-            fontsize=11, zorder=5,
-            bbox={"facecolor": "white", "edgecolor": colour, "linewidth": 0.6, "alpha": 0.9, "pad": 5},
-        )  # fmt: skip
+        pictures.draw_incomplete(axes, reason)
 
 
 VIEW: Final = View(

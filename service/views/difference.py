@@ -1,5 +1,6 @@
 """The difference of two sweeps: cells with other modes, and by how much thresholds move."""
 
+from decimal import ROUND_CEILING, Context
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
@@ -34,6 +35,10 @@ _MOVED: Final = tuple(
     for way in ("up", "down")
 )
 
+
+#: Percent, of four digits, and rounding to two, for statements that hold.
+_LESS_THAN_ALL: Final = 99.99
+_UPWARDS: Final = Context(prec=2, rounding=ROUND_CEILING)
 
 _APART: Final = "No cell of this sweep is within the axes of the other."
 
@@ -94,7 +99,8 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
             "sentence": _sentence(same, known, moved, shared) if common.any() else _APART,
-            "other": query.other, "other_direction": way, "other_xi": other_xi.value, "every": query.every,
+            "other": query.other, "other_direction": way, "other_xi": other_xi.value,
+            "other_model": other.spec.model.kind, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
         },
     )  # fmt: skip
@@ -166,13 +172,15 @@ def _sentence(
         return "No cell of both is computed yet."
     away = np.concatenate([*moved.values(), []])
     most = np.max(away, where=np.isfinite(away), initial=-1.0)
-    plain = np.format_float_positional(most, 2, unique=False, fractional=False, trim="-")
-    threshold = "no threshold moves" + (f" by more than {plain}" if most > 0.0 else "")
+    bound = _UPWARDS.create_decimal(f"{most:.9g}").normalize()  # without the rounding of a difference
+    threshold = "no threshold moves" + (f" by more than {bound:f}" if most > 0.0 else "")
     threshold = threshold if most >= 0.0 else "there is no threshold in both"
     if not shared.all():
         threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
     cells = "the cells" if known.all() else f"the {known.sum():,} of {known.size:,} cells of both"
-    return f"{100.0 * same[known].mean():.4g} % of {cells} have the same mode; {threshold}."
+    share = 100.0 * same[known].mean()
+    share = share if same[known].all() else min(share, _LESS_THAN_ALL)
+    return f"{share:.4g} % of {cells} have the same mode; {threshold}."
 
 
 def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
@@ -188,10 +196,13 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     axes = figure.subplots()
     names = [str(name) for name in result.data_vars if str(name).startswith("other_")]
     shown = result[names].rename({name: name.removeprefix("other_") for name in names})
-    draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(hide="same"))
+    attrs = {"hide": "same", "model": result.attrs["other_model"]}
+    draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(attrs))
     xi = " and ".join(f"{value:g}" for value in sorted({result.xi.item(), result.attrs["other_xi"]}))
     place = f"{SYMBOLS['xi']} = {xi}, where modes differ: those of the other sweep"
-    axes.set_title(f"{place}\n{result.attrs['sentence']}", fontsize=10)
+    sentence = result.attrs["sentence"].replace("; ", ";\n")  # which is wider than the picture
+    axes.set_title("")
+    axes.set_title(f"{place}\n{sentence}", loc="left", fontsize=10)
 
 
 VIEW: Final = View(

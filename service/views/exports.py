@@ -26,7 +26,7 @@ from service.errors import InvalidRequest, NoSpace, TooLarge
 from service.formats import ExportFormat, ExportLayout
 from service.jobs.prepare import PreparedJob
 from service.jobs.stores import sharing
-from service.ledger.model import JobRecord
+from service.ledger.model import JobRecord, JobState
 from service.views import shared
 from service.views.encode import check_format, record_batch, tables, with_flags, write_parquet
 from service.views.selection import LABEL, Stored, labelled, read_stored
@@ -56,7 +56,8 @@ def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int 
     events = [(job.created, "accepted")]
     events += [(run["began"], f"computing with {text}") for run, text in zip(runs, software, strict=True)]
     if job.finished is not None and not job.repairing:
-        events.append((job.finished, str(job.state)))
+        is_own = runs or job.state is not JobState.DONE  # neither imported nor adopted
+        events.append((job.finished, str(job.state) if is_own else "taken in"))
     times = [f"{datetime.fromtimestamp(when, UTC):%Y-%m-%dT%H:%M:%SZ} {what}" for when, what in events]
     attributes = {**layout.attributes, **prepared.attributes, **layout.identity}
     attributes["spec"] = {**attributes["spec"], "name": job.name}

@@ -9,7 +9,7 @@ import xarray
 from pydantic import Field
 
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import ATTRACTORS, TEXT
+from service.pictures import ATTRACTORS
 from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
@@ -127,7 +127,7 @@ def draw(result: xarray.Dataset, axes: "Axes") -> None:
         name = f"{result['effort'].values[i]}, {result['grid'].values[i]}"
         point = (result["seconds"].values[i], result["share"].values[i])
         axes.plot(*point, "o", color=ATTRACTORS[1], markersize=8)
-        axes.annotate(name, point, (0, 10), textcoords="offset points", ha="right", **TEXT)
+        axes.annotate(name, point, (0, 10), textcoords="offset points", ha="right")
     axes.set_ylim(bottom=0.0)
 
 

@@ -15,7 +15,16 @@ from kernel.search import starts_of
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
-from service.pictures import ATTRACTORS, AXES, IDEAL, draw_thresholds, edges, legend_beside, values_at
+from service.pictures import (
+    ATTRACTORS,
+    AXES,
+    IDEAL,
+    draw_incomplete,
+    draw_thresholds,
+    edges,
+    legend_beside,
+    values_at,
+)
 from service.views import orbits, proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, Query, View, Xi
@@ -318,7 +327,7 @@ MAX_SEARCH_SECONDS: Final = 1_000.0
 _PER_OMEGA: Final = 1_000
 
 _ROWS: Final = (
-    row("analytic", (), "<f8", "threshold Γ from rest by Eq. 25", comment="NaN: rest never ends"),
+    row("analytic", (), "<f8", "threshold Γ from rest by Eq. 25", comment="NaN: rest never ends, or a ball"),
     row("up", (), "<f8", "lowest Γ that bounces, ascending or from rest"),
     row("down", (), "<f8", "lowest Γ that bounces, descending"),
     row("predicted_jump", (), "<f8", "Γ of the fold at which flights leap"),
@@ -387,7 +396,8 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
     columns: Any = zip(*rows, strict=True)
     data |= zip(("predicted_jump", "predicted_down", "cause", "difference"), columns, strict=True)
     analytic = threshold(omega, xi)
-    data["analytic"] = np.where(np.isfinite(analytic), analytic, np.nan)
+    is_spring = spec.model.kind != "ball"
+    data["analytic"] = np.where(is_spring & np.isfinite(analytic), analytic, np.nan)
     contact = f"{IDEAL}: the contact of the sweep"
     if not is_ideal(spec.model):
         contact = f"{IDEAL}: not the contact of the sweep, which is {spec.model.kind}"
@@ -522,6 +532,8 @@ def _left_out(spec: SweepSpec, xi: float, predict: Predict) -> str:
         orbits.contact_of(spec)
     if predict == "none":
         return "not predicted"
+    if spec.model.kind == "ball":
+        return "not predicted: a ball has no spring"
     omegas = len(spec.axis_values("omega"))
     if predict == "some" and omegas > MAX_PREDICTED:
         return f"not predicted: ask for all above {MAX_PREDICTED} values of omega"
@@ -578,7 +590,14 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
     return why
 
 
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
+    """Draw the thresholds over Ω, and write where cells are missing."""
+    draw_thresholds(axes := figure.subplots(), result)
+    if not result.attrs["complete"]:
+        draw_incomplete(axes, "cells are not computed yet")
+
+
 VIEW: Final = View(
     "threshold", "Thresholds of a sweep", SweepSpec, ThresholdQuery, compute, estimate, variables=_ROWS,
-    rows="up_status", parts=parts, draw=lambda result, figure: draw_thresholds(figure.subplots(), result),
+    rows="up_status", parts=parts, draw=draw,
 )  # fmt: skip

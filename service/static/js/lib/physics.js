@@ -134,6 +134,9 @@ export function startOf(name) {
   return values.length === fields?.length ? { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])) } : null;
 }
 
+/** Whether Eq. 25 is of a sweep. */
+export const hasSpring = ({ spec }) => spec.model.kind !== "ball";
+
 /** Whether cycles of a spring can be drawn over a sweep. Those in closed form are of `rigid` without restitution. */
 export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spec.model.kind);
 

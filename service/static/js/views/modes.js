@@ -4,7 +4,7 @@ import { currentQuery, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { share } from "../lib/format.js";
-import { HYSTERESIS, OUTCOME, cellColumns, certifies, nearestIndex, threshold } from "../lib/physics.js";
+import { HYSTERESIS, OUTCOME, cellColumns, certifies, hasSpring, nearestIndex, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { CURVE_DASH, legendLine, polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
@@ -116,10 +116,10 @@ export class Modes extends PlaneView {
       title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
-        ["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)],
+        ...(hasSpring(this.job) ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
-      layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => drawThresholdCurve(ctx, box, this.xi)],
+      layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => hasSpring(this.job) && drawThresholdCurve(ctx, box, this.xi)],
       cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }

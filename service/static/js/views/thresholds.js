@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { axisColumn, axisText, clampIndex, hasCycles, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
@@ -63,7 +63,7 @@ export class Thresholds extends PlotView {
 
   whole() {
     const [x0, x1] = cellExtent(this.omega);
-    const drawn = [...this.computedThresholds, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1))), ...this.edges, this.measured.highest(x0, x1)];
+    const drawn = [...this.computedThresholds, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1)) || 0), ...this.edges, this.measured.highest(x0, x1)];
     return { x0, x1, y0: 0, y1: 1.12 * Math.max(...drawn) || 1 };
   }
 
@@ -86,7 +86,7 @@ export class Thresholds extends PlotView {
       const x = box.left + (i * box.width) / n;
       return [x, box.y.pixel(threshold(box.x.value(x), this.xi))];
     });
-    polyline(ctx, box.theme.threshold, 1.6, curve, CURVE_DASH);
+    if (hasSpring(this.job)) polyline(ctx, box.theme.threshold, 1.6, curve, CURVE_DASH);
     const edges = { 1: box.y.pixel(this.grid.gamma[0]), [-1]: box.y.pixel(this.grid.gamma.at(-1)) };
     for (const { direction, way } of this.series) {
       const colour = box.theme[direction];
@@ -104,7 +104,7 @@ export class Thresholds extends PlotView {
     const beyond = this.edges[0] === this.grid.gamma[0] ? 1 : -1;
     const triangle = (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction]);
     return [
-      ["Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.threshold, 1.6, x, y, CURVE_DASH)],
+      ...(hasSpring(this.job) ? [["Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.threshold, 1.6, x, y, CURVE_DASH)]] : []),
       ...(this.overlay?.data ? foldLegend() : []),
       ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
         legendLine(ctx, theme[direction], 1.2, x, y);

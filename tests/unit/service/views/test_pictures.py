@@ -21,13 +21,15 @@ if __name__ == "__main__":
 
 from artists import difference, read_back
 from paths import GOLDEN, ROOT
+from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.figures import tradeoff
 from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
-from service.views import diagram, multistability
-from service.views.selection import LABEL
+from service.views import diagram, modes, multistability, threshold
+from service.views.encode import picture
+from service.views.selection import LABEL, Stored
 from worker.sweep import SweepSpec
 
 DRAWN = GOLDEN / "pictures.json"
@@ -35,6 +37,7 @@ NAN = float("nan")
 CELL: dict[str, Any] = {"gamma": [1.1, 1.2, 1.4], "omega": [0.5, 0.6], "xi": 0.26, "model": {"kind": "rigid"}}
 
 PLANE = ("omega", "gamma")
+AT_REST = {"outcome": int(Outcome.AT_REST), "periods": 0, "bounces": 0}
 
 Draw = Callable[[Figure], object]
 
@@ -120,15 +123,15 @@ def client_map(figure: Figure) -> None:
     """Every label, cycles of 1 to 6 plate periods; without labels, the outcomes."""
     left, right = figure.subplots(1, 2)
     codes = np.array([*range(len(LABELS)), *[LABELS.index("periodic")] * 5, 0], np.uint8)[:12].reshape(2, 6)
-    modes = xarray.Dataset(
+    cells = xarray.Dataset(
         {
             "outcome": (("omega", "gamma"), np.minimum(codes, int(Outcome.UNRESOLVED))),
             "periods": (("omega", "gamma"), np.array([[0, 1, 0, 0, 0, 0], [0, 2, 3, 4, 5, 6]])),
             "bounces": (("omega", "gamma"), np.array([[0, 1, 0, 0, 0, 0], [0, 1, 4, 4, 7, 1]])),
         }
     ).assign_coords(omega=[0.5, 0.6], gamma=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5], xi=0.26)
-    draw_modes(left, modes)
-    draw_modes(right, modes.assign(label=(("omega", "gamma"), codes)))
+    draw_modes(left, cells)
+    draw_modes(right, cells.assign(label=(("omega", "gamma"), codes)))
 
 
 def client_thresholds(figure: Figure) -> None:
@@ -206,3 +209,51 @@ def test_a_map_of_one_row_shows_its_cells():
         True,
     )
     assert axes.collections[0].get_datalim(axes.transData).height > 0.0
+
+
+def wide_map(low: float, high: float) -> xarray.Dataset:
+    """Cells at rest over this range of Γ and Ω, in equal ratios."""
+    values = np.geomspace(low, high, 20)
+    data = {name: (PLANE, np.full((20, 20), code)) for name, code in AT_REST.items()}
+    return xarray.Dataset(data, {"omega": values, "gamma": values, "xi": 0.1})
+
+
+@for_each(("low", "high"), [(0.1, 100.0), (0.01, 100.0), (1e-4, 1e5), (1e-6, 1e6)])
+def test_a_logarithmic_map_has_numbers_and_its_threshold_all_over(low: float, high: float):
+    """The white rim and the dashes of the threshold; the numbers, of the left of two maps, lie apart."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=modes.VIEW.size, layout="constrained")
+        for axes in figure.subplots(1, 2):
+            draw_modes(axes, wide_map(low, high))
+        figure.draw_without_rendering()
+    axes = figure.axes[0]
+    for line in axes.lines:
+        np.testing.assert_allclose(np.asarray(line.get_ydata())[[0, -1]], axes.get_ylim())
+    for axis, side in ((axes.xaxis, 0), (axes.yaxis, 1)):
+        begins, ends = axis.get_view_interval()
+        shown = [tick.label1 for tick in axis.get_major_ticks() if begins <= tick.get_loc() <= ends]
+        places = np.array([label.get_window_extent().get_points()[:, side] for label in shown])
+        assert len(places) >= 4
+        assert (places[1:, 0] - places[:-1, 1] > 2).all()
+
+
+def test_a_ball_has_no_threshold_of_a_spring(tmp_path: Path):
+    """Thresholds of a sweep that has not begun, a map, and a diagram."""
+    lines = []
+    for kind in ("rigid", "ball"):
+        study = Stored(SweepSpec(**CELL | {"model": {"kind": kind}}), str(tmp_path / "none"))
+        figure, (_, middle, right) = Figure(), Figure().subplots(1, 3)
+        found = threshold.compute(study, threshold.ThresholdQuery())
+        threshold.draw(found, figure)
+        (axes,) = figure.axes
+        assert [text.get_text() for text in axes.texts] == ["incomplete: cells are not computed yet"]
+        draw_modes(middle, wide_map(0.1, 10.0).assign_attrs(model=kind))
+        times = wide_map(0.1, 10.0).isel(omega=0).assign(flight_time=(("gamma", "flight"), np.ones((20, 1))))
+        draw_diagram(right, times.assign_coords(direction="rest").assign_attrs(model=kind))
+        lines.append([len(each.lines) for each in (axes, middle, right)])
+    assert lines == [[2, 2, 2], [0, 0, 1]]
+
+
+def test_an_svg_names_fonts_for_viewers_without_the_first():
+    svg = picture((2.0, 2.0), lambda figure: figure.text(0.5, 0.5, "Γ"), "svg", {"release": ""}).decode()
+    assert "'STIXGeneral', 'STIX Two Text', 'Times New Roman', 'Liberation Serif', serif" in svg

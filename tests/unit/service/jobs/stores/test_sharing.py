@@ -1,6 +1,7 @@
 """A shared file as a job of another service: the same bytes, or a sentence that says why not."""
 
 import hashlib
+import io
 import json
 import re
 from base64 import b64decode, b64encode
@@ -11,6 +12,7 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
+from pyarrow import parquet
 from scripted import wait_for
 from served import RAMP, computing, finished, get
 from stores import files, store_in
@@ -58,6 +60,8 @@ def test_it_is_the_same_job_with_the_same_bytes(
     assert not left.exists()
     here = answer.headers["Location"]
     assert get(client, f"{here}/modes", xi=0.26, direction="up")["attrs"]["complete"]
+    table = client.get(f"{here}/export?format=parquet").content
+    assert parquet.read_schema(io.BytesIO(table)).metadata[b"history"].endswith(b"Z taken in")
     assert client.delete(here).status_code == 204
     again = client.post("/v1/imports", content=page, headers=HTML)  # before the other is removed
     assert again.status_code == 201
