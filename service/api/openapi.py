@@ -69,12 +69,19 @@ EXAMPLES: Final[dict[type[BaseModel], dict[str, Any]]] = {
 
 
 def kept_document(app: FastAPI, *, needs_token: bool) -> Callable[[], dict[str, Any]]:
-    """The API document, made by the first of several threads that ask: FastAPI's functions allow one."""
+    """The API document, made by the first of several threads that ask.
+
+    A first request with a query meanwhile may replace the fields that FastAPI keeps of it, by whose identity
+    the document finds them: then it is made again.
+    """
     make, lock = cache(partial(document, app, needs_token=needs_token)), Lock()
 
     def made_once() -> dict[str, Any]:
         with lock:
-            return make()
+            try:
+                return make()
+            except KeyError:
+                return make()
 
     return made_once
 
