@@ -253,7 +253,7 @@ def watch(client: "Client", interval: float) -> None:
             try:
                 now = jobs()
                 shown = output.job_table(now)
-            except errors.ServiceUnreachable as error:  # it may come back
+            except (errors.ServiceUnreachable, errors.Busy) as error:  # it may come back
                 shown = str(error)
 
 

@@ -204,7 +204,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
                 yield self.refresh()
             if self.finished:
                 return
-            self.refresh()  # the job was deleted, or the service stopped
+            self._refresh_in_time()  # the job was deleted, or the service stopped
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).

@@ -209,13 +209,16 @@ def test_an_error_of_the_connection_is_one_sentence(unused_address: str):
 
 
 def test_what_is_followed_is_no_finished_job_where_its_events_only_end():
-    """The service has stopped, or the job was deleted."""
-    for after in (LOST, Answer(404, {"title": "Not Found", "status": 404, "detail": "no job"})):
-        events = Answer(200, b"event: progress\ndata: {}\n\n", Content_Type="text/event-stream")
-        with scripted(Answer(body=view()), events, Answer(body=view()), after) as (_, client):
-            job = client.job(ID)
-            with pytest.raises(ServiceUnreachable if after is LOST else NotFound):
-                list(job.follow())
+    """The job was deleted; or the service has stopped, and is back."""
+    events = Answer(200, b"event: progress\ndata: {}\n\n", Content_Type="text/event-stream")
+    before, done = [Answer(body=view()), events, Answer(body=view())], Answer(body=view("done", 10))
+    deleted, stopping = (
+        Answer(status, {"title": "", "status": status, "detail": ""}) for status in (404, 503)
+    )
+    with scripted(*before, deleted) as (_, client), pytest.raises(NotFound):
+        list(client.job(ID).follow())
+    with scripted(*before, stopping, LOST, done, events, done) as (_, client):
+        assert [job.state for job in client.job(ID).follow()] == ["running", "done"]
 
 
 def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch):
