@@ -115,15 +115,18 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
 def _write_record(
     spring: Any, line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window
 ) -> None:
-    """Write the record of the i-th cell, whose run has ended.
-
-    What still grows on the plate settles; so do hops that die out where the spring can stay on the plate.
-    """
+    """Write the record of the i-th cell, whose run has ended."""
     cell.write_record(line, i, run, flights, first, window)
-    outcome, margin = line.outcome[i], relative_margin(spring)
+    line.outcome[i] = _settling_or(line.outcome[i], spring, run, flights, first)
+
+
+@jit
+def _settling_or(outcome: int, spring: Any, run: Progress, flights: Flights, first: int) -> int:
+    """SETTLING for what still grows on the plate, and for hops that die out where rest is possible."""
+    margin = relative_margin(spring)
     grows = outcome == cell.AT_REST and margin < cell.GROWS
-    if grows or (outcome == cell.APERIODIC and margin > 0.0 and cell.fades(run, flights, first)):
-        line.outcome[i] = cell.SETTLING
+    fades = outcome == cell.APERIODIC and margin > 0.0 and cell.fades(run, flights, first)
+    return cell.SETTLING if grows or fades else outcome
 
 
 @allocating
@@ -145,7 +148,8 @@ def _after_window(
             lanes.counts[1] += 1
         return run
     if lanes.followed[k]:
-        line.outcome[i] = cell.decide(line.outcome[i], run, flights, first, window)
+        outcome = cell.decide(line.outcome[i], run, flights, first, window)
+        line.outcome[i] = _settling_or(outcome, spring, run, flights, first)
         run, lanes.followed[k] = cell.load_run(lanes.ends[k]), False
     else:
         if variations is not None:

@@ -37,6 +37,9 @@ TYPICAL_CELLS: Final = 40
 PATIENCE: Final = UNTIL
 SETTLES_UNTIL: Final = 4 * UNTIL
 
+#: Flights of such a cell, a thousand plate periods of a spring that rebounds.
+_FLIGHTS: Final = 10_000
+
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
 
 
@@ -168,9 +171,12 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
 
 
 def _patient(spec: SweepSpec) -> SweepSpec:
-    """The specification of a refinement's cells: they keep only the outcome, and may settle for longer."""
+    """The specification of a refinement's cells: they may settle for longer, and have no exponents.
+
+    They keep so many flights that hops are seen to die out.
+    """
     until = max(spec.settles_until or 0, SETTLES_UNTIL, PATIENCE + spec.observe)
-    return spec.model_copy(update={"keep": 1, "exponents": 0, "settle": "auto", "until": until})
+    return spec.model_copy(update={"keep": _FLIGHTS, "exponents": 0, "settle": "auto", "until": until})
 
 
 def _refine_line(

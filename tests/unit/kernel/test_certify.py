@@ -65,6 +65,14 @@ def test_hops_that_die_out_below_eq_25_end_at_rest(plate: str):
     assert line.outcome.tolist() == [Outcome.AT_REST] * 3
 
 
+def test_hops_that_die_out_settle_in_a_fixed_window_too():
+    """By the window and what is followed beyond it, where the window alone does not tell."""
+    contact = SoftPlate(np.array([0.41]), np.array([0.038]), adhesive=True)
+    fixed: dict[str, Any] = {**WINDOW, "observe": 300, "plate": contact, "carry": False}
+    line = run_line(np.array([6.2662]), np.array([1.571]), np.array([0.00202]), **fixed)
+    assert line.outcome.tolist() == [Outcome.SETTLING]
+
+
 @for_each("plate", PLATES)
 def test_certified_cells_are_on_the_cycle_that_a_long_run_approaches(plate: str):
     """LATER is a multiple of most cycles' periods, so that both windows end at the same flight."""

@@ -186,13 +186,13 @@ def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
 
 
 def test_labels_refine_aperiodic_and_unstable_cells_only():
-    outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 8])
-    largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan, 0.0, 0.3, 0.3])
-    error = np.array([0.004] * (len(largest) - 3) + [0.006, 0.16, math.nan])
+    outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 9])
+    largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan, 0.0, 0.3, 0.3, -0.002])
+    error = np.array([0.004] * (len(largest) - 4) + [0.006, 0.16, math.nan, 0.0005])
     lyapunov = np.stack([largest, largest - 1.0], axis=-1)
     told = {Outcome.APERIODIC: "chaotic", Outcome.PERIODIC: "unstable"}
     expected = [told.get(o, o.name.lower()) for o in Outcome]
-    expected += ["quasi-periodic", "quasi-periodic", "chaotic", *["aperiodic"] * 5]
+    expected += ["quasi-periodic", "quasi-periodic", "chaotic", *["aperiodic"] * 6]
     assert [LABELS[code] for code in label_codes(outcome, lyapunov, error, 100)] == expected
     assert LABELS[: len(Outcome)] == tuple(o.name.lower() for o in Outcome)
     shape = (2, 3)
