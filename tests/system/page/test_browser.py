@@ -356,6 +356,10 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         page.locator("#bar [data-state=done]").wait_for()
 
 
+#: As when the tab is shown again.
+_RETURN = "document.dispatchEvent(new Event('visibilitychange'))"
+
+
 def test_an_unknown_sweep_is_reported(browser: Any, address: str):
     with opened(browser, view(address, "nothing"), expected=("404",)) as page:
         page.get_by_role("heading", name="No such sweep").wait_for()
@@ -363,6 +367,16 @@ def test_an_unknown_sweep_is_reported(browser: Any, address: str):
         page.goto(f"{address}/#/new?from=nothing")  # the form has the default values
         page.locator(".problem", has_text="no job has the id 'nothing'").wait_for()
         page.locator(".cost", has_text="cells in").wait_for()
+        spec = LOOP | {"settle": 1, "xi": 0.32}
+        job = done(address, spec)
+        page.goto(view(address, job))
+        wait_shown(page, xi=0.32)
+        httpx2.delete(f"{address}/v1/jobs/{job}", timeout=DEADLINE).raise_for_status()
+        page.evaluate(_RETURN)
+        page.get_by_role("heading", name="No such sweep").wait_for()
+        assert done(address, spec) == job
+        page.evaluate(_RETURN)
+        wait_shown(page, xi=0.32)
 
 
 def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
