@@ -220,7 +220,7 @@ def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
     for name in "xy" if "log" in result.attrs else "":
         if name in result.attrs["log"]:
             _make_logarithmic(axes, name)
-        else:
+        elif getattr(axes, f"get_{name}scale")() == "log":  # a linear axis keeps its ticks
             getattr(axes, f"set_{name}scale")("linear")
 
 

@@ -541,6 +541,13 @@ def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, ad
         assert "log=y" in request.value.url
         page.get_by_role("button", name="log y", pressed=True).click()
         page.wait_for_url(re.compile("log=none"))
+    listed = done(address, spec_of([0.6, 0.9, 1.35, 2.025], [0.5, 1.0, 2.0], 0.05, name="Equal ratios"))
+    for tab in ("diagram", "modes"):  # whose lists of values are shown on linear axes
+        with opened(browser, view(address, listed, tab)) as page:
+            wait_shown(page, xi=0.05)
+            with page.expect_request(lambda request: "format=svg" in request.url) as request:
+                page.get_by_role("button", name="Download SVG").click()
+            assert "log=none" in request.value.url
 
 
 def _width(page: Any) -> float:

@@ -168,7 +168,7 @@ export class PlotView {
   scales(x, y) {
     const { x0, x1, y0, y1 } = this.visible();
     const { log } = currentQuery();
-    this.log = log && this.windowed ? log : `${x.log ? "x" : ""}${y.log ? "y" : ""}`;
+    this.log = (this.windowed && log) || `${x.log ? "x" : ""}${y.log ? "y" : ""}` || "none"; // for the service too
     const [isX, isY] = ["x", "y"].map((axis) => this.log.includes(axis));
     this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String([isX, isY][i])));
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
