@@ -110,6 +110,9 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
         with page.expect_download() as download:
             page.get_by_role("button", name="Download SVG").click()
         assert "unstable cycle" in Path(download.value.path()).read_text()
+        with page.expect_request(re.compile("format=csv")) as request:  # which has none of them
+            page.get_by_label("Download CSV").first.click()
+        assert "branches" not in request.value.url
         texts = {readout_at(page, at): at for at in branch_pixels(page)[::60]}
         at = next(at for text, at in texts.items() if "unstable" in text and "(1, 1)" in text)
         box = page.locator(PLOT).first.bounding_box()

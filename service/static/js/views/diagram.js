@@ -120,9 +120,12 @@ export class Diagram extends PlotView {
   }
 
   /** What is shown: the window, without the flights of hidden modes. */
-  filePath(source) {
+  filePath(source, format) {
+    if (!this.#shownOf(source).length) throw new Error("No ramp direction is selected.");
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false, branches: this.cycles && true });
+    const of = { hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false };
+    const branches = this.cycles && format !== "csv" ? true : null;
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, branches, ...of });
   }
 
   read(results) {

@@ -43,7 +43,7 @@ async function requestFitting(path, options) {
  *   name             part of the names of its files, and what a shared file calls its results
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
- *   filePath(source) the address of the result of a source that is downloaded
+ *   filePath(source, format)   the address of the result of a source that is downloaded
  *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
  *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
  *                    The views represent cells differently; only their own methods look into one, but for its
@@ -317,7 +317,7 @@ export class PlotView {
   #downloads() {
     const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.png()];
     if (shared) return downloads([png]);
-    const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
+    const files = (source, formats) => resultFiles(source.job, () => this.name, formats, (format) => this.filePath(source, format));
     const ofSources = () => this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]));
     if (this.isCompared && this.paths().length > 1) return downloads([png, ...ofSources()]);
     const whole = isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [];
