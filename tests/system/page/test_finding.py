@@ -384,6 +384,7 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
             with page.expect_request(re.compile("format=svg")) as request:
                 saved("SVG")
             assert shown in request.value.url
+            assert "hold everything" not in page.locator(".panel .downloads").first.inner_text()
         reopen(page, f"{address}/#/job/{job}/modes")
         wait_shown(page, direction="rest")
         ours = saved("CSV")

@@ -70,6 +70,10 @@ export class Modes extends PlaneView {
     return this.#path({ ...this.#windowQuery(), log: this.log, hide: this.legend.query });
   }
 
+  marks() {
+    return [this.showsComputed.checked && "the marks of computed cells"];
+  }
+
   #windowQuery() {
     const { x0, x1, y0, y1 } = this.window ?? {};
     return { gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 };

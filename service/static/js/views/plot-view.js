@@ -54,6 +54,7 @@ async function requestFitting(path, options) {
  *   cellsShown(), columnsOfTable()   the cells of the table of what is shown, and its columns (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
+ *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
  *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(), called when data or colours have changed */
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
@@ -131,6 +132,7 @@ export class PlotView {
     ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
+    this.plot.element.addEventListener("drawn", () => { this.lacking.textContent = this.#lacking(); });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
       leave: () => this.#point(null),
@@ -314,14 +316,26 @@ export class PlotView {
     return this.plot.png(entries, this.exponents && [this.exponents], this.plot.element.dataset.shown);
   }
 
+  /** What the files of the service lack of what is shown, in words. */
+  #lacking() {
+    if (!this.isLoaded || !this.paths().length || !this.lacking.isConnected) return "";
+    const sent = new URLSearchParams(this.filePath(this.source).split("?")[1]);
+    const ends = Object.values(this.window ?? {}).map(String);
+    const isHidden = ({ id }) => this.legend.hidden.has(id);
+    const isAll = !ends.every((end) => [...sent.values()].includes(end)) || (!sent.has("hide") && this.classes?.present.some(isHidden));
+    const marks = [this.measured?.points.length && "the measured points", ...(this.marks?.() ?? [])].filter(Boolean);
+    return `${isAll ? "SVG, PDF and CSV hold everything, not only what is shown. " : ""}${marks.length ? `SVG and PDF lack ${marks.join(" and ")}.` : ""}`;
+  }
+
   #downloads() {
+    this.lacking = h("span", { className: "note" });
     const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.png()];
     if (shared) return downloads([png]);
     const files = (source, formats) => resultFiles(source.job, () => this.name, formats, (format) => this.filePath(source, format));
     const ofSources = () => this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]));
     if (this.isCompared && this.paths().length > 1) return downloads([png, ...ofSources()]);
     const whole = isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [];
-    return downloads([png, ...files(this.source, FORMATS), ...whole]);
+    return downloads([png, ...files(this.source, FORMATS), ...whole], this.lacking);
   }
 }
 

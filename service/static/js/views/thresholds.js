@@ -45,6 +45,10 @@ export class Thresholds extends PlotView {
     return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1, predict: this.overlay?.data ? null : "none" });
   }
 
+  marks() {
+    return [this.edges.length && "thresholds beyond the grid", this.isUndecided && "undecided ones"];
+  }
+
   read([result]) {
     this.rows = partsOf(result, "omega");
     [this.omega, this.xi, this.complete] = [result.omega.data, result.xi.data, result.attrs.complete];
