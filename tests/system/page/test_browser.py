@@ -106,6 +106,9 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         assert seen == sorted(seen)
         wait_shown(page, omega=0.5)
         assert colours(page) > 2
+        reopen(page, view(address, submitted(address, LOOP), "modes"))
+        texts = page.locator(".panel .plot .texts", has_text="not computed yet: the colour of the nearest")
+        texts.wait_for(state="attached")  # in the PNG too
 
 
 def _seen(bar: Any, seen: list[float]) -> float:
