@@ -4,7 +4,7 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, startName, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
@@ -163,7 +163,7 @@ export class Diagram extends PlotView {
     return {
       ...this.scales(this.axisOf(along), FLIGHT_AXIS),
       title: this.#title(),
-      legend: [...this.#legend(), ...(cycles ? branchLegend() : [])],
+      legend: [...this.#legend(), ...(cycles ? branchLegend(ofOtherPlate(this.job)) : [])],
       message: emptyMessage(lines),
       layers: [
         (ctx, box) => hasThreshold && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi), lines.length * (STRIP + 1)),

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
@@ -109,7 +109,7 @@ export class Thresholds extends PlotView {
     const triangle = (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction]);
     return [
       ...(hasSpring(this.job) ? [["Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.threshold, 1.6, x, y, CURVE_DASH)]] : []),
-      ...(this.overlay?.data ? foldLegend() : []),
+      ...(this.overlay?.data ? foldLegend(ofOtherPlate(this.job)) : []),
       ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
         legendLine(ctx, theme[direction], 1.2, x, y);
         drawMarker(ctx, [x + 12, y], 3.4, theme[direction], direction, theme.surface);
