@@ -17,6 +17,7 @@ const HINT = "Point at a cell to read it, press to show its trajectory, drag or 
 export class Modes extends PlaneView {
   name = "modes";
   windowed = ["gamma", "omega"];
+  marks = () => [this.showsComputed.checked && "the marks of computed cells"];
 
   constructor(root, view) {
     super(view);
@@ -68,10 +69,6 @@ export class Modes extends PlaneView {
   /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
     return this.#path({ ...this.#windowQuery(), log: this.log, hide: this.legend.query });
-  }
-
-  marks() {
-    return [this.showsComputed.checked && "the marks of computed cells"];
   }
 
   #windowQuery() {

@@ -158,7 +158,6 @@ export class PlotView {
   }
 
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
-
   #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
 
   isVisible(x, y = null) {
@@ -321,10 +320,11 @@ export class PlotView {
     if (!this.isLoaded || !this.paths().length || !this.lacking.isConnected) return "";
     const sent = new URLSearchParams(this.filePath(this.source).split("?")[1]);
     const ends = Object.values(this.window ?? {}).map(String);
-    const isHidden = ({ id }) => this.legend.hidden.has(id);
-    const isAll = !ends.every((end) => [...sent.values()].includes(end)) || (!sent.has("hide") && this.classes?.present.some(isHidden));
+    const hides = !sent.has("hide") && this.classes?.present.some(({ id }) => this.legend.hidden.has(id));
+    const isAll = hides || !ends.every((end) => [...sent.values()].includes(end));
     const marks = [this.measured?.points.length && "the measured points", ...(this.marks?.() ?? [])].filter(Boolean);
-    return `${isAll ? "SVG, PDF and CSV hold everything, not only what is shown. " : ""}${marks.length ? `SVG and PDF lack ${marks.join(" and ")}.` : ""}`;
+    const lack = marks.length ? `SVG and PDF lack ${marks.join(" and ")}.` : "";
+    return isAll ? `SVG, PDF and CSV hold everything, not only what is shown. ${lack}` : lack;
   }
 
   #downloads() {

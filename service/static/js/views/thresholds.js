@@ -21,6 +21,7 @@ const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell 
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
+  marks = () => [this.edges.length && "thresholds beyond the grid", this.isUndecided && "undecided ones"];
 
   constructor(root, view) {
     super(view);
@@ -43,10 +44,6 @@ export class Thresholds extends PlotView {
   filePath() {
     const { x0, x1, y0, y1 } = this.window ?? {};
     return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1, predict: this.overlay?.data ? null : "none" });
-  }
-
-  marks() {
-    return [this.edges.length && "thresholds beyond the grid", this.isUndecided && "undecided ones"];
   }
 
   read([result]) {
