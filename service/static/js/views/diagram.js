@@ -232,9 +232,7 @@ export class Diagram extends PlotView {
     return cell && this.lines.some(({ direction, fixed }) => direction === cell.direction && isAt(fixed)) ? cell : null;
   }
 
-  #cell(line, cell) {
-    return { line, cell: clampIndex(cell, line.values.length), source: line.source };
-  }
+  #cell = (line, cell) => ({ line, cell: clampIndex(cell, line.values.length), source: line.source });
 
   /** The cycle next to (x, y), or the cell at x; of several lines, the one with a flight nearest to y. */
   nearest(x, y) {

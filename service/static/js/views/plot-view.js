@@ -98,9 +98,7 @@ export class PlotView {
   }
 
   /** The window on display: of a logarithmic axis, what is above zero. */
-  visible() {
-    return this.#positive(this.window ?? this.extent());
-  }
+  visible = () => this.#positive(this.window ?? this.extent());
 
   #positive(window) {
     const { log = "" } = currentQuery();
@@ -175,9 +173,7 @@ export class PlotView {
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
-  axisOf(axis) {
-    return { label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log") };
-  }
+  axisOf = (axis) => ({ label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log") });
 
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();

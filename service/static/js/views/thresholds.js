@@ -37,9 +37,7 @@ export class Thresholds extends PlotView {
     return [this.#path({ predict: this.overlay && isShown ? null : "none" })];
   }
 
-  #path(window) {
-    return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...window })}`;
-  }
+  #path = (window) => `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...window })}`;
 
   filePath() {
     const { x0, x1, y0, y1 } = this.window ?? {};
@@ -116,9 +114,7 @@ export class Thresholds extends PlotView {
     ];
   }
 
-  computed() {
-    return (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
-  }
+  computed = () => (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
 
   nearest(x, y) {
     return { row: this.rows[nearestIndex(this.omega, x)], y };
