@@ -159,7 +159,8 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
         names = ("gamma", "flight_time", "stable", "violations")
         cycles = xarray.Dataset({name: diagram.variables[f"branch_{name}"] for name in names})
         draw_branches(axes, cycles.assign(flight_time=cycles.flight_time.where(cycles.violations == 0)))
-        for style, label in (("-", "stable cycle"), ("--", "unstable cycle")):
+        plate = "" if diagram.attrs.get("own_branches", True) else ", ideal plate"
+        for style, label in (("-", f"stable cycle{plate}"), ("--", f"unstable cycle{plate}")):
             axes.plot([], [], style, color=LINES["branch"], label=label, markersize=0.0)
     if along == "gamma" and _has_spring(diagram):
         _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
@@ -220,7 +221,7 @@ def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
     for name in "xy" if "log" in result.attrs else "":
         if name in result.attrs["log"]:
             _make_logarithmic(axes, name)
-        else:
+        elif getattr(axes, f"get_{name}scale")() == "log":  # a linear axis keeps its ticks
             getattr(axes, f"set_{name}scale")("linear")
 
 

@@ -108,7 +108,8 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     if (wanted := _orbits(spec, query)) is not None:
         found = orbits.compute_orbits(None, wanted, *followed)
         result = result.assign({f"branch_{row.name}": found.variables[row.name] for row in _OF_BRANCHES})
-        result.attrs["branches"] = found.attrs["model"]
+        is_own = wanted.model is not None or spec.model == Rigid()
+        result.attrs |= {"branches": found.attrs["model"], "own_branches": is_own}
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
     return result

@@ -66,6 +66,7 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         screenshot(page, "modes-adaptive")
         page.get_by_label("Show which cells were computed").check()
         wait_for(lambda: picture(page) != plain)
+        page.locator(".downloads", has_text="SVG and PDF lack the marks of computed cells.").wait_for()
         screenshot(page, "modes-computed")
         page.get_by_label("Show which cells were computed").uncheck()
         plot = page.locator(".panel .plot")

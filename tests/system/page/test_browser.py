@@ -106,6 +106,9 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         assert seen == sorted(seen)
         wait_shown(page, omega=0.5)
         assert colours(page) > 2
+        reopen(page, view(address, submitted(address, LOOP), "modes"))
+        texts = page.locator(".panel .plot .texts", has_text="not computed yet: the colour of the nearest")
+        texts.wait_for(state="attached")  # in the PNG too
 
 
 def _seen(bar: Any, seen: list[float]) -> float:
@@ -356,6 +359,10 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         page.locator("#bar [data-state=done]").wait_for()
 
 
+#: As when the tab is shown again.
+_RETURN = "document.dispatchEvent(new Event('visibilitychange'))"
+
+
 def test_an_unknown_sweep_is_reported(browser: Any, address: str):
     with opened(browser, view(address, "nothing"), expected=("404",)) as page:
         page.get_by_role("heading", name="No such sweep").wait_for()
@@ -363,6 +370,16 @@ def test_an_unknown_sweep_is_reported(browser: Any, address: str):
         page.goto(f"{address}/#/new?from=nothing")  # the form has the default values
         page.locator(".problem", has_text="no job has the id 'nothing'").wait_for()
         page.locator(".cost", has_text="cells in").wait_for()
+        spec = LOOP | {"settle": 1, "xi": 0.32}
+        job = done(address, spec)
+        page.goto(view(address, job))
+        wait_shown(page, xi=0.32)
+        httpx2.delete(f"{address}/v1/jobs/{job}", timeout=DEADLINE).raise_for_status()
+        page.evaluate(_RETURN)
+        page.get_by_role("heading", name="No such sweep").wait_for()
+        assert done(address, spec) == job
+        page.evaluate(_RETURN)
+        wait_shown(page, xi=0.32)
 
 
 def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
@@ -428,6 +445,9 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         page.get_by_label("Axis of the diagram").select_option("omega")
         wait_shown(page, along="omega")
         page.locator(".slider").first.filter(has_text="Γ =").wait_for()
+        page.get_by_label("up", exact=True).uncheck()
+        page.get_by_label("Download SVG").click()
+        page.locator(".downloads", has_text="No ramp direction is selected").wait_for()
 
 
 def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str, loop: str, tmp_path: Path):

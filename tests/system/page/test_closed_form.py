@@ -110,6 +110,9 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
         with page.expect_download() as download:
             page.get_by_role("button", name="Download SVG").click()
         assert "unstable cycle" in Path(download.value.path()).read_text()
+        with page.expect_request(re.compile("format=csv")) as request:  # which has none of them
+            page.get_by_label("Download CSV").first.click()
+        assert "branches" not in request.value.url
         texts = {readout_at(page, at): at for at in branch_pixels(page)[::60]}
         at = next(at for text, at in texts.items() if "unstable" in text and "(1, 1)" in text)
         box = page.locator(PLOT).first.bounding_box()
@@ -122,6 +125,10 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
     with opened(browser, f"{address}/#/job/{soft}/thresholds?xi=0.05&folds=1") as page:
         wait_for(lambda: len(branch_pixels(page)) > 200)
         screenshot(page, "soft-folds")
+    stepped = spec_of((0.5, 1.0, 6), 0.6, 0.05, window=(5, 5, 5), model={"kind": "stepped"})
+    with opened(browser, f"{address}/#/job/{done(address, stepped)}/diagram?branches=1") as page:
+        texts = page.locator(".panel .plot .texts", has_text="unstable, ideal plate")
+        texts.wait_for(state="attached")
 
 
 def test_a_contact_is_explored(browser: Any, address: str):

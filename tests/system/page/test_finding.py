@@ -351,7 +351,7 @@ def closed_form_events(omega: float, xi: float) -> list[float]:
 
 def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[str], tmp_path: Path):
     job = jobs[0]
-    with opened(browser, f"{address}/#/job/{job}/diagram?omega=0.5") as page:
+    with opened(browser, f"{address}/#/job/{job}/diagram?omega=0.5", expected=("net::ERR_",)) as page:
         wait_shown(page, along="gamma")
 
         def saved(label: str) -> bytes:
@@ -368,10 +368,15 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
         captioned = len(saved("SVG"))
         page.get_by_label("with a caption").uncheck()
         assert len(saved("SVG")) < captioned
-        window = "x0=0.55&x1=2&y0=0.4&y1=6&hide=3"
+        page.route("**/diagram?*format=csv", lambda route: route.abort())
+        with page.expect_event("requestfailed"):
+            page.get_by_label("Download CSV").first.click()
+        page.locator("[aria-label='Download CSV']:enabled").first.wait_for()  # the banner told it
+        assert page.locator(".panel .downloads [role=status]").first.inner_text() == ""
+        window = "x0=0.55&x1=2&y0=0.4&y1=6&hide=3,99"
         for tab, shown in (
-            ("diagram", "start=0.55&stop=2&flight_start=0.4&flight_stop=6&hide=at_rest"),
-            ("modes", "gamma_start=0.55&gamma_stop=2&omega_start=0.4&omega_stop=6&hide=at_rest"),
+            ("diagram", "start=0.55&stop=2&flight_start=0.4&flight_stop=6&log=none&hide=at_rest"),
+            ("modes", "gamma_start=0.55&gamma_stop=2&omega_start=0.4&omega_stop=6&log=none&hide=at_rest"),
             ("thresholds", "omega_start=0.55&omega_stop=2&gamma_start=0.4&gamma_stop=6"),
         ):
             reopen(page, f"{address}/#/job/{job}/{tab}?omega=0.5&{window}")
@@ -379,6 +384,7 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
             with page.expect_request(re.compile("format=svg")) as request:
                 saved("SVG")
             assert shown in request.value.url
+            assert "hold everything" not in page.locator(".panel .downloads").first.inner_text()
         reopen(page, f"{address}/#/job/{job}/modes")
         wait_shown(page, direction="rest")
         ours = saved("CSV")

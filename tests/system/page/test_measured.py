@@ -54,6 +54,7 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         said.wait_for()
         assert f"median residual {np.median(off):.2g} rad, largest 0.03 rad" in said.inner_text()
         assert page.locator(".panel > aside .problem").first.is_hidden()
+        page.locator(".downloads", has_text="SVG and PDF lack the measured points.").wait_for()
         screenshot(page, "measured", whole=False)
         page.emulate_media(color_scheme="dark")
         screenshot(page, "measured-dark", whole=False)

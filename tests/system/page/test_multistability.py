@@ -71,4 +71,6 @@ def test_the_map_says_where_several_coexist(browser: Any, address: str, job: str
         with page.expect_download() as download:
             page.get_by_label("Download CSV").first.click()
         assert download.value.suggested_filename == "what-coexists-attractor-map.csv"
+        page.locator(".panel .plot").press("+")
+        page.locator(".downloads", has_text="hold everything, not only what is shown").wait_for()
         screenshot(page, "attractor-map")

@@ -1,23 +1,23 @@
 // Download buttons and file names.
 
-import { requestBlob } from "./api.js";
+import { isHandledElsewhere, requestBlob } from "./api.js";
 import { h, workButton } from "./dom.js";
 
-/** A row of download buttons: `files` is [[label, () => file name, () => Blob or promise of one], …]. */
-export function downloads(files) {
+/** A row of download buttons: `files` is [[label, () => file name, () => Blob or promise of one], …]; a note on them. */
+export function downloads(files, note) {
   const status = h("span", { className: "note", role: "status" });
-  const failed = (error) => { status.textContent = error.message; };
+  const failed = (error) => { if (!isHandledElsewhere(error)) status.textContent = error.message; };
   const button = ([label, name, make]) => workButton(label, async () => {
     status.textContent = "";
     save(await make(), name());
   }, failed, { className: "quiet", "aria-label": `Download ${label}` });
   return h("div", { className: "downloads", role: "group", "aria-label": "Downloads" },
-    h("span", {}, "Download"), files.map(button), status);
+    h("span", {}, "Download"), files.map(button), note, status);
 }
 
-/** Downloads of a result in formats of the service: `path()` is its address with a query, `content` a part of the files' names. */
+/** Downloads of a result in formats of the service: `path(format)` is its address with a query, `content` a part of the files' names. */
 export const resultFiles = (job, content, formats, path, options) => formats.map(([label, format]) =>
-  [label, () => fileName(job, content(), format), () => requestBlob(`${path()}&format=${format}`, options)]);
+  [label, () => fileName(job, content(), format), () => requestBlob(`${path(format)}&format=${format}`, options)]);
 
 export const wholeSweep = (job, formats) => resultFiles(job, () => "sweep", formats, () => `/v1/jobs/${job.id}/export?`);
 

@@ -147,6 +147,9 @@ export function contactQuery({ kind, restitution, penetration, adhesive }) {
 }
 
 export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model ?? {});
+/** What legends add to cycles of an ideal plate over a sweep on another contact. */
+export const ofOtherPlate = (job) => (hasOwnCycles(job) || isIdeal(job.spec.model) ? "" : ", ideal plate");
+const isIdeal = ({ kind, restitution }) => kind === "rigid" && !restitution;
 
 /** "cycle (1, 1), unstable · flight time 3.9 rad · multipliers 2.1, 0.3"; `multipliers`: real and imaginary part of two. */
 export function cycleText({ bounces, periods, stable, flight_time: time, multipliers: [re, im, otherRe] }) {

@@ -76,5 +76,5 @@ export function modeClasses({ outcome, label: labels = outcome, bounces, periods
 }
 
 /** How queries of the service name a class; null where they have no name for it. */
-export const classQuery = (id) => CLASSES[id].query;
+export const classQuery = (id) => CLASSES[id]?.query ?? null;
 export const modeColour = (id, dark) => CLASSES[id].colours[Number(dark)];

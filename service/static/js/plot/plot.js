@@ -15,7 +15,7 @@ let plots = 0;
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
  *   title, message (shown in the middle of an empty plot),
  *   margins: [left, right], in px, where they are those of another plot,
- *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide], …].
+ *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide, if it has one], …].
  * Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts. */
 export class Plot {
   constructor(root, { label, content, signal, takesInput = true }) {

@@ -46,9 +46,7 @@ export class PlaneView extends PlotView {
   }
 
   /** The index of a cell in what is stored row by row. */
-  indexOf({ column, row }) {
-    return row * this.columns.length + column;
-  }
+  indexOf = ({ column, row }) => row * this.columns.length + column;
 
   columnsOfPlane() {
     return [axisColumn("Γ", this.grid.gamma, ({ column }) => this.columns[column]), axisColumn("Ω", this.grid.omega, ({ row }) => this.rows[row])];

@@ -99,7 +99,7 @@ export function drawFolds(ctx, box, { curves, points }) {
   drawEvents(ctx, box, points.map((point) => ({ ...point, position: pixel(point.omega, point.gamma) })), lines.flat().filter(Boolean));
 }
 
-export const foldLegend = () => [["fold", (ctx, x, y, theme) => legendLine(ctx, theme.branch, FOLD_WIDTH, x, y)]];
+export const foldLegend = (plate) => [[`fold${plate}`, (ctx, x, y, theme) => legendLine(ctx, theme.branch, FOLD_WIDTH, x, y)]];
 
 /** Draw the cycles that the spring has, and mark their events. */
 export function drawBranches(ctx, box, { branches, events }) {
@@ -173,5 +173,5 @@ export function cyclesAt({ branches }, gamma) {
 export const drawCycle = (ctx, box, { gamma, flight_time: time }) => circle(ctx, box.theme.cursor, 1.8, box.x.pixel(gamma), box.y.pixel(time), 5.5);
 export const describeCycle = (cycle) => `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`;
 
-export const branchLegend = () => [["stable", STABLE], ["unstable", UNSTABLE]].map(([name, { width, dash }]) =>
-  [name, (ctx, x, y, theme) => legendLine(ctx, theme.branch, width, x, y, dash)]);
+export const branchLegend = (plate = "") => [["stable", STABLE], ["unstable", UNSTABLE]].map(([name, { width, dash }]) =>
+  [name + plate, (ctx, x, y, theme) => legendLine(ctx, theme.branch, width, x, y, dash)]);

@@ -4,7 +4,7 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, startName, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
@@ -120,9 +120,12 @@ export class Diagram extends PlotView {
   }
 
   /** What is shown: the window, without the flights of hidden modes. */
-  filePath(source) {
+  filePath(source, format) {
+    if (!this.#shownOf(source).length) throw new Error("No ramp direction is selected.");
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false, branches: this.cycles && true });
+    const of = { hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false };
+    const branches = this.cycles && format !== "csv" ? true : null;
+    return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, branches, ...of });
   }
 
   read(results) {
@@ -160,7 +163,7 @@ export class Diagram extends PlotView {
     return {
       ...this.scales(this.axisOf(along), FLIGHT_AXIS),
       title: this.#title(),
-      legend: [...this.#legend(), ...(cycles ? branchLegend() : [])],
+      legend: [...this.#legend(), ...(cycles ? branchLegend(ofOtherPlate(this.job)) : [])],
       message: emptyMessage(lines),
       layers: [
         (ctx, box) => hasThreshold && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi), lines.length * (STRIP + 1)),
@@ -229,9 +232,7 @@ export class Diagram extends PlotView {
     return cell && this.lines.some(({ direction, fixed }) => direction === cell.direction && isAt(fixed)) ? cell : null;
   }
 
-  #cell(line, cell) {
-    return { line, cell: clampIndex(cell, line.values.length), source: line.source };
-  }
+  #cell = (line, cell) => ({ line, cell: clampIndex(cell, line.values.length), source: line.source });
 
   /** The cycle next to (x, y), or the cell at x; of several lines, the one with a flight nearest to y. */
   nearest(x, y) {

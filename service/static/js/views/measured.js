@@ -68,9 +68,7 @@ export class MeasuredPoints {
     return AXES.filter((axis) => axis !== this.view.along && axis !== this.value);
   }
 
-  highest(low, high) {
-    return Math.max(0, ...this.points.filter(({ x }) => x >= low && x <= high).map(({ y }) => y));
-  }
+  highest = (low, high) => Math.max(0, ...this.points.filter(({ x }) => x >= low && x <= high).map(({ y }) => y));
 
   update() {
     const { points, view } = this;

@@ -17,6 +17,7 @@ const HINT = "Point at a cell to read it, press to show its trajectory, drag or 
 export class Modes extends PlaneView {
   name = "modes";
   windowed = ["gamma", "omega"];
+  marks = () => [this.showsComputed.checked && "the marks of computed cells"];
 
   constructor(root, view) {
     super(view);
@@ -87,11 +88,10 @@ export class Modes extends PlaneView {
   showLegend() {
     super.showLegend();
     const { every, computed_share: computed } = this.attrs;
-    const preview = this.isPreview ? "Cells that are not computed yet have the colour of the nearest one at their Γ. " : "";
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
     const adaptive = `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. `
       + "Of a map 0.3 to 0.5 % too many cells are aperiodic.";
-    this.note.textContent = preview + thinned + (this.isAdaptive ? adaptive : this.#hysteresisText());
+    this.note.textContent = thinned + (this.isAdaptive ? adaptive : this.#hysteresisText());
   }
 
   #hysteresisText() {
@@ -115,6 +115,7 @@ export class Modes extends PlaneView {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
+        ...(this.isPreview ? [["not computed yet: the colour of the nearest cell at its Γ"]] : []),
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
         ...(hasSpring(this.job) ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],

@@ -50,9 +50,7 @@ class AttractorView extends PlaneView {
   }
 
   /** The attractors of a cell, those of most drops first. */
-  attractorsOf({ column, row = 0 }) {
-    return this.cells[this.indexOf({ column, row })];
-  }
+  attractorsOf = ({ column, row = 0 }) => this.cells[this.indexOf({ column, row })];
 
   showLegend() {
     const colourless = this.attractors.filter(({ id }) => id > COLOURED);

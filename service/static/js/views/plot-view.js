@@ -43,7 +43,7 @@ async function requestFitting(path, options) {
  *   name             part of the names of its files, and what a shared file calls its results
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
- *   filePath(source) the address of the result of a source that is downloaded
+ *   filePath(source, format)   the address of the result of a source that is downloaded
  *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
  *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
  *                    The views represent cells differently; only their own methods look into one, but for its
@@ -54,6 +54,7 @@ async function requestFitting(path, options) {
  *   cellsShown(), columnsOfTable()   the cells of the table of what is shown, and its columns (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
+ *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
  *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(), called when data or colours have changed */
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
@@ -97,9 +98,7 @@ export class PlotView {
   }
 
   /** The window on display: of a logarithmic axis, what is above zero. */
-  visible() {
-    return this.#positive(this.window ?? this.extent());
-  }
+  visible = () => this.#positive(this.window ?? this.extent());
 
   #positive(window) {
     const { log = "" } = currentQuery();
@@ -131,6 +130,7 @@ export class PlotView {
     ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
+    this.plot.element.addEventListener("drawn", () => { this.lacking.textContent = this.#lacking(); });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
       leave: () => this.#point(null),
@@ -156,7 +156,6 @@ export class PlotView {
   }
 
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
-
   #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
 
   isVisible(x, y = null) {
@@ -168,15 +167,13 @@ export class PlotView {
   scales(x, y) {
     const { x0, x1, y0, y1 } = this.visible();
     const { log } = currentQuery();
-    this.log = log && this.windowed ? log : `${x.log ? "x" : ""}${y.log ? "y" : ""}`;
+    this.log = (this.windowed && log) || `${x.log ? "x" : ""}${y.log ? "y" : ""}` || "none"; // for the service too
     const [isX, isY] = ["x", "y"].map((axis) => this.log.includes(axis));
     this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String([isX, isY][i])));
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
-  axisOf(axis) {
-    return { label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log") };
-  }
+  axisOf = (axis) => ({ label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log") });
 
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
@@ -314,14 +311,27 @@ export class PlotView {
     return this.plot.png(entries, this.exponents && [this.exponents], this.plot.element.dataset.shown);
   }
 
+  /** What the files of the service lack of what is shown, in words. */
+  #lacking() {
+    if (!this.isLoaded || !this.paths().length || !this.lacking.isConnected) return "";
+    const sent = new URLSearchParams(this.filePath(this.source).split("?")[1]);
+    const ends = Object.values(this.window ?? {}).map(String);
+    const hides = !sent.has("hide") && this.classes?.present.some(({ id }) => this.legend.hidden.has(id));
+    const isAll = hides || !ends.every((end) => [...sent.values()].includes(end));
+    const marks = [this.measured?.points.length && "the measured points", ...(this.marks?.() ?? [])].filter(Boolean);
+    const lack = marks.length ? `SVG and PDF lack ${marks.join(" and ")}.` : "";
+    return isAll ? `SVG, PDF and CSV hold everything, not only what is shown. ${lack}` : lack;
+  }
+
   #downloads() {
+    this.lacking = h("span", { className: "note" });
     const png = ["PNG", () => fileName(this.job, this.name, "png"), () => this.png()];
     if (shared) return downloads([png]);
-    const files = (source, formats) => resultFiles(source.job, () => this.name, formats, () => this.filePath(source));
+    const files = (source, formats) => resultFiles(source.job, () => this.name, formats, (format) => this.filePath(source, format));
     const ofSources = () => this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]));
     if (this.isCompared && this.paths().length > 1) return downloads([png, ...ofSources()]);
     const whole = isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [];
-    return downloads([png, ...files(this.source, FORMATS), ...whole]);
+    return downloads([png, ...files(this.source, FORMATS), ...whole], this.lacking);
   }
 }
 

@@ -3,7 +3,7 @@
 import { partsOf, query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, threshold } from "../lib/physics.js";
+import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
@@ -21,6 +21,7 @@ const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell 
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
+  marks = () => [this.edges.length && "thresholds beyond the grid", this.isUndecided && "undecided ones"];
 
   constructor(root, view) {
     super(view);
@@ -36,9 +37,7 @@ export class Thresholds extends PlotView {
     return [this.#path({ predict: this.overlay && isShown ? null : "none" })];
   }
 
-  #path(window) {
-    return `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...window })}`;
-  }
+  #path = (window) => `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...window })}`;
 
   filePath() {
     const { x0, x1, y0, y1 } = this.window ?? {};
@@ -105,7 +104,7 @@ export class Thresholds extends PlotView {
     const triangle = (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction]);
     return [
       ...(hasSpring(this.job) ? [["Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.threshold, 1.6, x, y, CURVE_DASH)]] : []),
-      ...(this.overlay?.data ? foldLegend() : []),
+      ...(this.overlay?.data ? foldLegend(ofOtherPlate(this.job)) : []),
       ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
         legendLine(ctx, theme[direction], 1.2, x, y);
         drawMarker(ctx, [x + 12, y], 3.4, theme[direction], direction, theme.surface);
@@ -115,9 +114,7 @@ export class Thresholds extends PlotView {
     ];
   }
 
-  computed() {
-    return (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
-  }
+  computed = () => (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
 
   nearest(x, y) {
     return { row: this.rows[nearestIndex(this.omega, x)], y };

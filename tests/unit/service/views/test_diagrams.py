@@ -116,6 +116,11 @@ def test_axes_are_logarithmic_where_asked(log: str):
     axes.figure.canvas.draw()
 
 
+def test_a_linear_axis_keeps_its_ticks_where_it_is_asked_for():
+    asked, minor = drawn(cells().assign_attrs(log="none")), drawn(cells()).xaxis.get_minorticklocs()
+    np.testing.assert_array_equal(asked.xaxis.get_minorticklocs(), minor)
+
+
 def test_a_picture_says_what_is_missing():
     missing = both(cells(outcome=[3, 0, 0, 3], complete=False), cells())
     assert "incomplete: 2 of 8 cells are not computed yet" in texts(drawn(missing))

@@ -245,11 +245,14 @@ def test_cells_beyond_as_many_branches_as_are_followed_are_named(
     assert doubled.event_gamma.values[-1] == pytest.approx(2.5045676620, abs=1e-9)
 
 
-@for_each("own", [{}, {"model": "rigid", "restitution": 0.3}])
-def test_a_diagram_has_the_branches_of_its_contact(
-    client: TestClient, python_client: Client, own: dict[str, Any]
+@for_each(("model", "own", "plate"), [
+    ({"kind": "rigid"}, {}, ""),
+    ({"kind": "rigid", "restitution": 0.3}, {"model": "rigid", "restitution": 0.3}, ""),
+    ({"kind": "stepped", "penetration": 1e-2}, {}, ", ideal plate"),
+])  # fmt: skip
+def test_a_diagram_has_the_branches_of_its_contact_or_names_that_of_others(
+    client: TestClient, python_client: Client, model: dict[str, Any], own: dict[str, Any], plate: str
 ):
-    model = {"kind": "rigid", "restitution": own.get("restitution", 0.0)}
     job = python_client.submit(FIGURE_2 | {"gamma": [1.5, 2.5], "model": model}).wait(progress=False)
     found = job.diagram(branches=True, progress=False)
     modes = "1-1,1-2,1-3"
@@ -257,8 +260,8 @@ def test_a_diagram_has_the_branches_of_its_contact(
     for name in ("gamma", "flight_time", "stable", "violations"):
         np.testing.assert_array_equal(found[f"branch_{name}"], asked[name])
     path, axes = f"/v1/jobs/{job.id}/diagram", job.plot(branches=True)
-    assert "unstable cycle" in client.get(path, params={"branches": True, "format": "svg"}).text
-    assert "unstable cycle" in axes.get_legend_handles_labels()[1]
+    assert f">unstable cycle{plate}<" in client.get(path, params={"branches": True, "format": "svg"}).text
+    assert f"unstable cycle{plate}" in axes.get_legend_handles_labels()[1]
     along = {"along": "xi", "gamma": 1.5}
     assert "branches: are along gamma" in refused(client, path, 422, branches=True, **along)
 
