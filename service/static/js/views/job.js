@@ -60,7 +60,7 @@ export class JobView {
 
   async #poll(redraw) {
     const job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal }).catch((error) => this.#pollFailed(error, redraw));
-    if (!job) return;
+    if (!job || this.signal.aborted) return;
     if (!this.panel.isConnected) return location.reload(); // "No such sweep" took its place, and there is one again
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
