@@ -312,6 +312,8 @@ def _comes_to_rest(run: Progress, flights: Flights, first: int, window: Window) 
 def fades(run: Progress, flights: Flights, first: int) -> bool:
     """Whether the longest of the last third of a run's flights is much shorter than that of the first."""
     kept = min(run.recorded, flights.size)
+    if kept < modes.FEWEST:
+        return False
     begin, part = run.recorded - kept, kept // 3
     late = _longest(flights, first, run.recorded - part, run.recorded)
     return late < FADED * _longest(flights, first, begin, begin + part)

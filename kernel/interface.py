@@ -6,6 +6,7 @@ below. Times are in rad from the start of a contact or flight; a horizon is the 
 budget the number of evaluations of a phase function it may use.
 """
 
+import math
 from typing import Any, NamedTuple
 
 from kernel.numerics.elementary import sincos
@@ -58,14 +59,16 @@ def rest(cell: Any) -> State:  # type: ignore[empty-body]
 
 @by_type
 def relative_margin(cell: Any) -> float:  # type: ignore[empty-body]
-    """The least force of the plate on a spring whose free motion has decayed, over the mean force."""
+    """The least force of the plate on a spring whose free motion has decayed, over the mean force.
+
+    NaN for a contact that does not tell.
+    """
 
 
 @relative_margin.otherwise
 @inlined
 def _no_free_motion(cell: Any) -> float:
-    """What stays on the plate for a period stays there."""
-    return 1.0
+    return math.nan
 
 
 @by_type

@@ -27,9 +27,8 @@ def label_codes(outcome: Any, lyapunov: Any, error: Any, observe: int) -> NDArra
     which variations grow by a factor e over the window. An aperiodic cell is quasi-periodic if |lambda_1| and
     twice its error are within the resolution, and lambda_1 within SURE errors of 0; it is chaotic if lambda_1
     is above the resolution and twice its error. Otherwise it stays aperiodic: the window does not decide, or
-    the cell approaches a cycle that is not found, or rest. A periodic cell
-    is unstable if lambda_1 is above the resolution: rounding holds it on its cycle. Other cells keep their
-    outcome.
+    the cell approaches a cycle that is not found, or rest. A periodic cell is unstable if lambda_1 is above
+    the resolution: rounding holds it on its cycle. Other cells keep their outcome.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]

@@ -52,7 +52,7 @@ class ResultMethods(Methods):
         flight_stop: Annotated[float | None, "rad, longest flight shown"] = None,
         hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; of a map by multiplier also multiplier-0.2 to multiplier-1"] = None,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
-        branches: Annotated[bool, "along gamma: cycles of one bounce, up to three periods, unstable too"] = False,
+        branches: Annotated[bool, "along gamma: cycles of one bounce, up to three periods; not in tables"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -64,9 +64,10 @@ class ResultMethods(Methods):
 
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
         (rad), `flights`, `bounces`, `periods`, `flight_error` (rad), `multiplier`, `multiplier_angle` (rad),
-        `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`, `branch_gamma`, `branch_flight_time`
-        (rad), `branch_stable`, `branch_violations`. Waits up to `timeout` seconds for the workers, and shows
-        `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`, `branch_bounces`, `branch_periods`,
+        `branch_gamma`, `branch_flight_time` (rad), `branch_stable`, `branch_violations`. Waits up to
+        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
         return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, log=log, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, hide=hide, caption=caption, branches=branches, timeout=timeout, progress=progress)
 

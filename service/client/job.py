@@ -197,11 +197,12 @@ class Job(ResultReader, ResultMethods, JobStatus):
         NotFound
             The job was deleted.
         ServiceUnreachable
-            The connection broke.
+            The connection broke, or no answer for `MAX_OUTAGE` seconds.
         """
         while True:
             for _ in self._transport.events(self._path("events")):
-                yield self.refresh()
+                self._refresh_in_time()
+                yield self
             if self.finished:
                 return
             self._refresh_in_time()  # the job was deleted, or the service stopped
@@ -344,7 +345,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             kind = "orbits" if study == "orbits" else "modes" if is_map else "diagram"
         if kind not in get_args(Kind):
             raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")
-        if branches is not None and kind != "diagram":
+        if not (branches is None or branches is False or kind == "diagram"):
             raise BounceError(f"branches: are drawn in a diagram, not in {kind}")
         if data is not None and kind not in ("diagram", "threshold"):
             raise BounceError(f"data: are drawn in a diagram or over thresholds, not in {kind}")
@@ -363,8 +364,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
         elif kind == "exponents":
             axes = self.result("diagram", **selection).bounce.plot_exponents(ax=ax)
         else:
-            own = {"branches": branches} if isinstance(branches, bool) else {}
-            given = None if own else branches
+            own = {"branches": True, "progress": False} if branches is True else {}
+            given = None if isinstance(branches, bool) else branches
             accessor = self.result(kind, **selection, **own).bounce
             axes = accessor.plot(ax=ax, branches=given, data=data, frequency=frequency)
         return axes

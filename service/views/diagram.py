@@ -44,7 +44,7 @@ class DiagramQuery(Query):
     caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
     branches: Annotated[
         bool,
-        Field(description="along gamma: cycles of one bounce, up to three periods, unstable too"),
+        Field(description="along gamma: cycles of one bounce, up to three periods; not in tables"),
     ] = False
 
 
@@ -52,8 +52,11 @@ class DiagramQuery(Query):
 #: none ends within it. The page asks for the same.
 _CYCLES: Final = "1-1,1-2,1-3"
 _BEYOND: Final = 2.0
-#: Their variables, in the diagram with the prefix `branch_`.
-_OF_BRANCHES: Final = tuple(orbits.ROWS[name] for name in ("gamma", "flight_time", "stable", "violations"))
+#: Their variables in a diagram, by the names that a result of orbits has.
+_OF_BRANCHES: Final = {
+    name: orbits.ROWS[name]._replace(name=f"branch_{name.removeprefix('branch_')}")
+    for name in ("branch_bounces", "branch_periods", "gamma", "flight_time", "stable", "violations")
+}
 
 
 def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
@@ -107,7 +110,7 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if (wanted := _orbits(spec, query)) is not None:
         found = orbits.compute_orbits(None, wanted, *followed)
-        result = result.assign({f"branch_{row.name}": found.variables[row.name] for row in _OF_BRANCHES})
+        result = result.assign({row.name: found.variables[name] for name, row in _OF_BRANCHES.items()})
         is_own = wanted.model is not None or spec.model == Rigid()
         result.attrs |= {"branches": found.attrs["model"], "own_branches": is_own}
     if query.caption:
@@ -154,7 +157,10 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     selection.fixed_axes(spec, query)
     selection.check_order(query, "flight_start", "flight_stop")
     wanted = _orbits(spec, query)
-    followed = Estimate({}) if wanted is None else orbits.estimate_orbits(None, wanted)
+    try:
+        followed = Estimate({}) if wanted is None else orbits.estimate_orbits(None, wanted)
+    except InvalidRequest as error:
+        raise InvalidRequest.of("branches", f"are not to be had: {error}") from error
     directions = selection.directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
     if len(directions) > 1:
@@ -214,7 +220,7 @@ VIEW: Final = View(
     "diagram", "Bifurcation diagram", SweepSpec, DiagramQuery, compute, estimate,
     variables=(
         *(row for row in schema.ARRAYS if row is not schema.END_STATE), selection.LABEL,
-        *(row._replace(name=f"branch_{row.name}") for row in _OF_BRANCHES),
+        *_OF_BRANCHES.values(),
     ),
     rows="flight_time", draw=draw, size=SIZE, activity="read", parts=parts,
 )  # fmt: skip

@@ -26,7 +26,7 @@ from worker.sweep import SweepSpec
 from worker.sweep.specification import UNTIL
 from worker.sweep.task import run_cells
 
-#: Limit on the cells computed for one threshold on a ramp.
+#: Limit on the cells computed for one threshold, beside those of a bisection.
 MAX_CELLS: Final = 2_000
 
 #: Typical number of cells per threshold, to estimate the cost of a request.
@@ -37,7 +37,7 @@ TYPICAL_CELLS: Final = 40
 PATIENCE: Final = UNTIL
 SETTLES_UNTIL: Final = 4 * UNTIL
 
-#: Flights of such a cell, a thousand plate periods of a spring that rebounds.
+#: Flights kept of a refinement's cell: a thousand plate periods of a spring that rebounds.
 _FLIGHTS: Final = 10_000
 
 BOUNCING: Final = (Outcome.PERIODIC, Outcome.APERIODIC)
@@ -210,14 +210,14 @@ def _search_upward(
 
     The window of a cell of the sweep may have been too short to show that its bouncing ends.
     """
-    for gamma in map(float, values):
+    for gamma in map(float, values[:MAX_CELLS]):
         outcome, _ = _run(spec, cell._replace(gamma=gamma), None)
         if outcome in BOUNCING:
             return _bisect(spec, cell, gamma, tolerance)
         if outcome != Outcome.AT_REST:
             return math.nan, _BY_OUTCOME[outcome]
         cell = cell._replace(gamma=gamma)
-    return math.nan, Status.ABOVE
+    return math.nan, Status.ABOVE if len(values) <= MAX_CELLS else Status.NOT_REFINED
 
 
 def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> tuple[float, Status]:

@@ -247,7 +247,10 @@ def _kill_until(ended: threading.Event, cluster: Any) -> None:
 
 def _kill(cluster: Any) -> None:
     """Kill the processes of all nannies, of those too that the cluster has dropped or is just starting."""
-    for nanny in list(cluster._created):
+    nannies: list[Any] = []
+    with contextlib.suppress(RuntimeError):  # another was made meanwhile
+        nannies = list(cluster._created)
+    for nanny in nannies:
         if nanny.pid:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(nanny.pid, signal.SIGKILL)

@@ -71,6 +71,9 @@ def test_hops_that_die_out_settle_in_a_fixed_window_too():
     fixed: dict[str, Any] = {**WINDOW, "observe": 300, "plate": contact, "carry": False}
     line = run_line(np.array([6.2662]), np.array([1.571]), np.array([0.00202]), **fixed)
     assert line.outcome.tolist() == [Outcome.SETTLING]
+    ball = {**WINDOW, "settle": 50, "observe": 20, "plate": BallPlate(np.array([0.6426804207941106]))}
+    line = run_line(np.array([2.9095337171937534]), np.ones(1), np.ones(1), carry=False, **ball)
+    assert line.outcome.tolist() == [Outcome.APERIODIC]  # a ball never rests there
 
 
 @for_each("plate", PLATES)

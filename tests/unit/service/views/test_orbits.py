@@ -257,6 +257,7 @@ def test_a_diagram_has_the_branches_of_its_contact_or_names_that_of_others(
     found = job.diagram(branches=True, progress=False)
     modes = "1-1,1-2,1-3"
     asked = python_client.orbits(0.5, 0.26, modes, gamma_max=5.0, progress=False, **own)
+    assert found.branch_periods.values.tolist() == asked.branch_periods.values.tolist()
     for name in ("gamma", "flight_time", "stable", "violations"):
         np.testing.assert_array_equal(found[f"branch_{name}"], asked[name])
     path, axes = f"/v1/jobs/{job.id}/diagram", job.plot(branches=True)
