@@ -179,7 +179,7 @@ def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: st
     with opened(browser, f"{address}/#/new") as page:
         page.get_by_label("contact model").select_option("rigid")
         page.get_by_label("given as").nth(1).select_option("a range")
-        fields = {"gamma.num": 450, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 100}
+        fields = {"gamma.num": 900, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 300}
         for name, value in fields.items():
             page.locator(f"[data-field='{name}']").fill(str(value))
         page.get_by_text("What does a time buy?").click()
