@@ -60,8 +60,9 @@ _OF_BRANCHES: Final = {
 
 
 def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
-    """The branches in a diagram, if any: of the sweep's contact, if its cycles can be followed, else of an
-    ideal plate. Raises InvalidRequest.
+    """The branches in a diagram, if any.
+
+    Of the sweep's contact, if its cycles can be followed, else of an ideal plate. Raises InvalidRequest.
     """
     if not query.branches:
         return None
