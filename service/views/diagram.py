@@ -71,10 +71,8 @@ def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
         raise InvalidRequest.of("branches", "are along gamma, of rigid, soft and stepped contacts")
     fixed = {axis: point.value for axis, point in selection.fixed_axes(spec, query).items()}
     own = model.model_dump(include={"restitution", "penetration", "adhesive"}) | {"model": model.kind}
-    is_soft = isinstance(model, Soft) and model.rest_length is None
-    has_own = is_soft or (isinstance(model, Rigid) and model.restitution > 0.0)
     top = min(_BEYOND * float(spec.axis_values("gamma")[-1]), orbits.MAX_GAMMA)
-    followed = own if has_own and model.restitution < 1.0 else {}
+    followed = own if model.has_own_cycles else {}
     return orbits.OrbitsQuery(**fixed, **followed, modes=_CYCLES, gamma_max=top)
 
 

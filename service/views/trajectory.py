@@ -346,7 +346,7 @@ def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np
     """
     periods, time = point.periods, point.flight_time
     try:
-        if time is not None and _has_own_cycles(model):
+        if time is not None and model.has_own_cycles:
             own = cycle_near(model, cell, periods, time)
             if own is not None:
                 return own[1], own[0]
@@ -358,13 +358,6 @@ def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np
         rule = f"there is no cycle (1, {periods}) at {where}" if time is not None else no_cycle(cell, periods)
         raise InvalidRequest.of("start", rule)
     return start.start.state, start.cycle
-
-
-def _has_own_cycles(model: Contact) -> bool:
-    """Whether a contact's cycles are followed, and not in closed form."""
-    if isinstance(model, Soft):
-        return model.rest_length is None and model.restitution < 1.0
-    return isinstance(model, Rigid) and 0.0 < model.restitution < 1.0
 
 
 def _check_ended(field: str, outcome: int) -> None:

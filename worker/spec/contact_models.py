@@ -114,6 +114,11 @@ class ContactFields(Strict):
         """Whether cycles can be certified, which needs variations."""
         return self.exponents > 0
 
+    @property
+    def has_own_cycles(self) -> bool:
+        """Whether its cycles are followed by their segments, and are not those of an ideal plate."""
+        return False
+
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     """The cost of a cell with `at_once` computed side by side, from the costs in full lanes and alone.
@@ -186,6 +191,11 @@ class Soft(_SoftContact):
         cost = _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
         return cost * elastic * _period_share(omega)
 
+    @property
+    def has_own_cycles(self) -> bool:
+        """With a rest length every cell has its own depth."""
+        return self.rest_length is None and self.restitution < 1.0
+
 
 class Stepped(_SoftContact):
     """The same contact with fixed time steps; `worker.spec.time_steps` checks them."""
@@ -252,6 +262,11 @@ class Rigid(ContactFields):
     @property
     def exponents(self) -> int:
         return SPRING_DIMENSION if self.restitution > 0.0 else INELASTIC_DIMENSION
+
+    @property
+    def has_own_cycles(self) -> bool:
+        """Without restitution they are those of an ideal plate."""
+        return 0.0 < self.restitution < 1.0
 
 
 class Ball(ContactFields):
