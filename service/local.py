@@ -42,8 +42,9 @@ from service.jobs.stores.opening import open_ledger
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
-from service.views import audit, diagram, exports, threshold
+from service.views import audit, diagram, exports
 from service.views.registry import admit, answer, stored
+from service.views.springs import threshold
 from service.views.view import Call, Query
 from worker import store as stores
 from worker.analysis.audit import compile_for as compile_for_audit
@@ -229,7 +230,7 @@ def thresholds(omega: float, xi: float, **query: Any) -> xarray.Dataset:
     Raises InvalidRequest naming the parameter.
     """
     use_cache()
-    view = threshold.SPRING
+    view = threshold.VIEW
     spring = _query(view.query, {"omega": omega, "xi": xi, **query})
     view.estimate(None, spring)
     parts: Sequence[Call] = view.parts(None, spring) if view.parts else ()

@@ -14,7 +14,10 @@ from kernel.modes import counted
 from kernel.params import Outcome
 from service import pictures
 from service.errors import InvalidRequest
-from service.views import orbits, selection
+from service.views import selection
+from service.views.springs import orbits
+from service.views.springs.branches import ROWS
+from service.views.springs.queries import MAX_GAMMA
 from service.views.variables import cells_dataset, coordinate
 from service.views.view import Call, Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.spec.contact_models import CONTACT_MODELS, Rigid, Soft, Stepped
@@ -54,7 +57,7 @@ _CYCLES: Final = "1-1,1-2,1-3"
 _BEYOND: Final = 2.0
 #: Their variables in a diagram, by the names that a result of orbits has.
 _OF_BRANCHES: Final = {
-    name: orbits.ROWS[name]._replace(name=f"branch_{name.removeprefix('branch_')}")
+    name: ROWS[name]._replace(name=f"branch_{name.removeprefix('branch_')}")
     for name in ("branch_bounces", "branch_periods", "gamma", "flight_time", "stable", "violations")
 }
 
@@ -71,7 +74,7 @@ def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
         raise InvalidRequest.of("branches", "are along gamma, of rigid, soft and stepped contacts")
     fixed = {axis: point.value for axis, point in selection.fixed_axes(spec, query).items()}
     own = model.model_dump(include={"restitution", "penetration", "adhesive"}) | {"model": model.kind}
-    top = min(_BEYOND * float(spec.axis_values("gamma")[-1]), orbits.MAX_GAMMA)
+    top = min(_BEYOND * float(spec.axis_values("gamma")[-1]), MAX_GAMMA)
     followed = own if model.has_own_cycles else {}
     return orbits.OrbitsQuery(**fixed, **followed, modes=_CYCLES, gamma_max=top)
 
@@ -79,7 +82,7 @@ def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
 def parts(study: selection.Stored[SweepSpec], query: DiagramQuery) -> Sequence[Call]:
     """The branches that workers follow."""
     wanted = _orbits(study.spec, query)
-    return [] if wanted is None else orbits.orbit_parts(None, wanted)
+    return [] if wanted is None else orbits.parts(None, wanted)
 
 
 def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: Any) -> xarray.Dataset:
@@ -108,7 +111,7 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if (wanted := _orbits(spec, query)) is not None:
-        found = orbits.compute_orbits(None, wanted, *followed)
+        found = orbits.compute(None, wanted, *followed)
         result = result.assign({row.name: found.variables[name] for name, row in _OF_BRANCHES.items()})
         is_own = wanted.model is not None or spec.model == Rigid()
         result.attrs |= {"branches": found.attrs["model"], "own_branches": is_own}
@@ -157,7 +160,7 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     selection.check_order(query, "flight_start", "flight_stop")
     wanted = _orbits(spec, query)
     try:
-        followed = Estimate({}) if wanted is None else orbits.estimate_orbits(None, wanted)
+        followed = Estimate({}) if wanted is None else orbits.estimate(None, wanted)
     except InvalidRequest as error:
         raise InvalidRequest.of("branches", f"are not to be had: {error}") from error
     directions = selection.directions_of(spec, query.direction)

@@ -18,7 +18,6 @@ from service.software import software
 from service.views import (
     audit,
     basins,
-    curves,
     diagram,
     difference,
     encode,
@@ -30,6 +29,9 @@ from service.views import (
 )
 from service.views import plan as plans
 from service.views.selection import MAX_READ, Stored
+from service.views.springs import curves
+from service.views.springs import orbits as spring_orbits
+from service.views.springs import threshold as spring_threshold
 from service.views.view import Estimate, Query, View
 from worker.analysis.planning import Setting
 
@@ -42,9 +44,10 @@ VIEWS: Final[dict[str, View]] = {
     )
 }  # fmt: skip
 
-#: The results of a spring alone, in closed form.
+#: The results of springs without a sweep.
 SPRINGS: Final[dict[str, View]] = {
-    view.name: view for view in (threshold.SPRING, threshold.GRID, orbits.SPRING, curves.VIEW)
+    view.name: view
+    for view in (spring_threshold.VIEW, spring_threshold.GRID, spring_orbits.VIEW, curves.VIEW)
 }
 
 

@@ -20,10 +20,12 @@ from kernel.cycles.events import branch_and_events
 from kernel.cycles.thresholds import closed_form
 from service.client import Client
 from service.pictures import AXES, draw_thresholds
-from service.views import curves as curves_view
-from service.views import orbits as orbits_view
 from service.views import threshold
 from service.views.registry import SPRINGS
+from service.views.springs import curves as curves_view
+from service.views.springs import orbits as orbits_view
+from service.views.springs import threshold as spring_threshold
+from service.views.springs.branches import BALANCE
 
 FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -77,7 +79,7 @@ def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
         row.name
         for row in SPRINGS["orbits"].variables
-        if row.name not in (*orbits_view.BALANCE, "event_complete")
+        if row.name not in (*BALANCE, "event_complete")
     }
     folds = answer.event_gamma.values[answer.event_kind.values == "fold"]
     assert sorted(folds) == pytest.approx([0.553241345562, 0.915986309968], abs=1e-9)
@@ -365,11 +367,11 @@ def test_a_grid_of_springs_without_search_is_that_of_the_rule(python_client: Cli
 def test_a_grid_of_springs_is_drawn_as_lines_or_a_map(python_client: Client):
     few, many = Figure(), Figure()
     lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
-    threshold.draw_grid(lines, few)
+    spring_threshold.draw_grid(lines, few)
     drawn = [line.get_ydata() for line in few.axes[0].lines if line.get_label().startswith("$")]
     np.testing.assert_array_equal(drawn, lines.down)
     plane = python_client.thresholds("0.6,0.62", "0.1:0.2:6", progress=False)
-    threshold.draw_grid(plane, many)
+    spring_threshold.draw_grid(plane, many)
     np.testing.assert_array_equal(many.axes[0].collections[0].get_array(), plane.down)
 
 

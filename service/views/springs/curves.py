@@ -11,8 +11,15 @@ from kernel.cycles.curves import Curves, Parameter, curves
 from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, values_at
-from service.views import orbits
-from service.views.orbits import EVENTS, ROWS, columns, event_columns, grid_length, padded, parse_modes
+from service.views.springs.branches import EVENTS, ROWS, below, closed_form, columns, event_columns, padded
+from service.views.springs.queries import (
+    ContactQuery,
+    GammaMax,
+    Modes,
+    grid_length,
+    name_of,
+    parse_modes,
+)
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, View, Xi
 from worker.analysis.cycles import CONTACT_CURVES, CURVES_SECONDS, follow_curves
@@ -33,7 +40,7 @@ _POINTS: Final = 4_000
 Span = tuple[float, float]
 
 
-class CurvesQuery(orbits.ContactQuery):
+class CurvesQuery(ContactQuery):
     """A range of Ω at one ξ, or of ξ at one Ω."""
 
     omega: Omega | None = None
@@ -42,9 +49,9 @@ class CurvesQuery(orbits.ContactQuery):
     omega_stop: Omega | None = None
     xi_start: Xi | None = None
     xi_stop: Xi | None = None
-    modes: orbits.Modes = "1-1,1-2"
+    modes: Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
-    gamma_max: orbits.GammaMax = 8.0
+    gamma_max: GammaMax = 8.0
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
@@ -79,7 +86,7 @@ def _kinds(query: CurvesQuery) -> tuple[Kind, ...]:
 def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
     """The curves of each mode."""
     along, fixed, span = _plane(query)
-    kinds, contact, modes = _kinds(query), orbits.contact(query), parse_modes(query.modes)
+    kinds, contact, modes = _kinds(query), query.contact(), parse_modes(query.modes)
     if contact is None:
         return [(curves, along, fixed, *span, mode.periods, kinds) for mode in modes]
     top = query.gamma_max
@@ -96,23 +103,23 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max
-    pieces = [piece for part in parts for curve in part.curves for piece in orbits.below(curve, top)]
+    pieces = [piece for part in parts for curve in part.curves for piece in below(curve, top)]
     data = padded((along, "gamma", "flight_time", "violations"), pieces, ("curve", "point"))
     data |= event_columns(join_events([rows_of(x.points, x.points.gamma <= top) for x in parts]))
     names = ("kind", "bounces", "periods")
     coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"
     coords |= {other: coordinate(other, fixed)}
-    contact = orbits.contact(query)
-    model = IDEAL if contact is None else orbits.name_of(contact)
-    return orbits.closed_form(data, coords, model=model, along=str(along), gamma_max=top)
+    contact = query.contact()
+    model = IDEAL if contact is None else name_of(contact)
+    return closed_form(data, coords, model=model, along=str(along), gamma_max=top)
 
 
 def estimate(spec: None, query: CurvesQuery) -> Estimate:
     """The typical size. Raises InvalidRequest for a query without a plane, and above MAX_SECONDS."""
     along, fixed, span = _plane(query)
     _kinds(query)
-    contact = orbits.contact(query)
+    contact = query.contact()
     modes = parse_modes(query.modes)
     springs = [(value, fixed) if along is Parameter.OMEGA else (fixed, value) for value in span]
     for _, periods in modes:

@@ -1,0 +1,200 @@
+"""Branches of the cycles of a spring, in closed form or on a contact."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import numpy as np
+import xarray
+from pydantic import Field
+
+from kernel.cycles.energy import energy
+from kernel.cycles.events import Branch, Events, branch_and_events, join_events, rows_of
+from kernel.params import Cell
+from service.errors import InvalidRequest
+from service.pictures import IDEAL, draw_cycles
+from service.views import proofs
+from service.views.springs.branches import (
+    BALANCE,
+    BRANCH,
+    EVENTS,
+    OF_POINT,
+    ROWS,
+    below,
+    closed_form,
+    columns,
+    event_columns,
+    of_branches,
+    padded,
+    with_flights,
+)
+from service.views.springs.queries import (
+    KEPT,
+    MAX_GAMMA,
+    ContactQuery,
+    GammaMax,
+    Modes,
+    grid_length,
+    name_of,
+    parse_modes,
+)
+from service.views.variables import coordinate
+from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, View, Xi
+from worker.analysis.cycles import CYCLE_SECONDS, FollowedCycles, follow_along, follow_cycles
+from worker.analysis.prediction import branch_seconds
+from worker.orbits.specification import MAX_POINTS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
+WithDoubled = Annotated[bool, Field(description="branches of twice the period that begin at flips as well")]
+
+#: Estimated branches of a mode on a contact, and limit on the core-seconds of an answer.
+_FAMILIES: Final = 3
+MAX_SECONDS: Final = 60.0
+
+#: Core-seconds for counting a branch's folds and flips, times periods/omega.
+_COUNT_SECONDS: Final = 0.3
+
+#: Bytes of memory for a point of a branch, with those computed on the way to it.
+_PER_POINT: Final = 4_000
+
+
+class OrbitsQuery(ContactQuery):
+    """A spring, its contact, and which of its branches to compute."""
+
+    omega: Omega
+    xi: Xi
+    modes: Modes = "1-1,1-2"
+    gamma_max: GammaMax = 8.0
+    points: int = Field(
+        400, ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"
+    )
+    energy: WithEnergy = False
+    prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
+    along: Literal["gamma", "omega", "xi"] = Field(
+        "gamma", description="what varies; of a model, omega or xi too, from half to twice its value"
+    )
+    gamma: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
+        None, description="where another varies"
+    )
+    doubled: WithDoubled = False
+
+
+def parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
+    """The branches of each mode, on a contact; in closed form if together they exceed AT_ONCE_SECONDS."""
+    plate, grids = query.contact(), _grids(query)
+    if plate is None:
+        return [(branch_and_events, *grid) for grid in grids] if _seconds(query) > AT_ONCE_SECONDS else []
+    if query.gamma is None:
+        top = query.gamma_max
+        return [(follow_cycles, plate, *spring, top, points, query.doubled) for *spring, points in grids]
+    cell, value = Cell(query.gamma, query.omega, query.xi), getattr(query, query.along)
+    span = 0.5 * value, 2.0 * value
+    return [
+        (follow_along, plate, cell, periods, query.along, span, points, query.doubled)
+        for _, _, periods, points in grids
+    ]
+
+
+@lru_cache(KEPT)  # called several times for an answer
+def _seconds(query: OrbitsQuery) -> float:
+    """Core-seconds of the branches in closed form."""
+    return sum(branch_seconds(*grid) for grid in _grids(query))
+
+
+@lru_cache(KEPT)  # called several times for an answer
+def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
+    """Spring, plate periods and points of each branch."""
+    return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
+
+
+def compute(
+    study: None, query: OrbitsQuery, *parts: tuple[Branch, Events] | FollowedCycles
+) -> xarray.Dataset:
+    """Branches of cycles of one bounce, and their events.
+
+    Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
+    `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether none is missing.
+
+    With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
+    most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
+    event `stick-vanishes`, `rest`, `below-surface` or `unknown-change`, or at `cut-off`, beyond the points
+    asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`. With
+    `doubled`, up to 12 branches of twice the period, too, and `flight_time` has all flights that count, the
+    longest first.
+    """
+    plate = query.contact()
+    parts = parts or tuple(_branch(*grid) for grid in _grids(query))
+    branches: list[Any] = []
+    events: list[Events] = []
+    for part in parts:
+        branches += part.branches if isinstance(part, FollowedCycles) else part[:1]
+        events += part.events if isinstance(part, FollowedCycles) else part[1:]
+    top = max(query.gamma_max, query.gamma or 0.0)
+    pieces = [piece for branch in branches for piece in below(branch, top)]
+    data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)
+    if plate is not None:
+        data |= padded(("flights",), pieces)
+    if query.energy:
+        data |= padded(BALANCE, [energy(query.omega, query.xi, x.periods, x.flight_time) for x in pieces])
+    data |= event_columns(join_events([rows_of(e, e.gamma <= top) for e in events]))
+    if query.prove:
+        complete = [proofs.of_events(e)[e.gamma <= top] for e in events]
+        data |= columns("event", {"complete": np.concatenate(complete)})
+    coords = of_branches(pieces)
+    spring = {name for name in ("omega", "xi") if name != query.along}
+    coords |= {name: coordinate(name, getattr(query, name)) for name in sorted(spring)}
+    varies: dict[str, Any] = {}
+    if query.along != "gamma":
+        data |= padded((query.along,), pieces)
+        varies = {"along": query.along}
+    model = IDEAL if plate is None else name_of(plate)
+    return closed_form(data, coords, model=model, **varies, gamma_max=query.gamma_max)
+
+
+_branch = lru_cache(KEPT)(branch_and_events)
+
+
+def estimate(spec: None, query: OrbitsQuery) -> Estimate:
+    """All points of the branches.
+
+    Raises InvalidRequest for parameters that exclude each other, for a branch that is too long or does not
+    exist, and above MAX_SECONDS.
+    """
+    lengths = [grid_length(*grid) for grid in _grids(query)]
+    plate = query.contact()
+    for name in ("energy", "prove") if plate is not None else ():
+        if getattr(query, name):
+            raise InvalidRequest.of(name, "is of the closed form: leave out model")
+    if query.doubled and plate is None:
+        raise InvalidRequest.of("doubled", "needs a model; that of the closed form is rigid")
+    if (query.along == "gamma") != (query.gamma is None):
+        raise InvalidRequest.of("gamma", "is required where omega or xi varies, and not where gamma does")
+    if query.along != "gamma" and plate is None:
+        raise InvalidRequest.of("along", "must be gamma without a model")
+    if plate is not None:
+        lengths = [2 * query.points] * (_FAMILIES * (1 + query.doubled) * len(lengths))
+        seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS
+        if seconds > MAX_SECONDS:
+            rule = (
+                f"their cycles take up to {seconds:.0f} core-seconds, the limit for one answer is "
+                f"{MAX_SECONDS:g}: ask for fewer modes or points"
+            )
+            raise InvalidRequest.of("modes", rule)
+    sizes = {"branch": len(lengths), "point": max(lengths), "multiplier": 2, "part": 2}
+    small = plate is None and _seconds(query) <= SMALL_SECONDS and not query.prove
+    seconds = sum(_COUNT_SECONDS * periods / omega for omega, _, periods, _ in _grids(query) if query.prove)
+    return Estimate(sizes, memory=sum(lengths) * _PER_POINT, seconds=seconds, small=small)
+
+
+def draw(result: xarray.Dataset, figure: "Figure") -> None:
+    draw_cycles(figure.subplots(), result)
+
+
+VIEW: Final = View(
+    "orbits", "Branches of a spring", None, OrbitsQuery, compute, estimate,
+    variables=(*(ROWS[x] for x in (*OF_POINT, "flights", *BALANCE, *BRANCH, "event_complete")), *EVENTS),
+    rows="gamma", printed=("points", "event_gamma"), parts=parts, draw=draw,
+)  # fmt: skip

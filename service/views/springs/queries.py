@@ -1,0 +1,88 @@
+"""What queries of a spring have in common: its contact, the modes of its cycles, limits."""
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from kernel.cycles.events import flight_times
+from kernel.params import KernelInputError
+from service.errors import InvalidRequest
+from service.views.view import Number, Query
+from worker.orbits.specification import MAX_GRID, Mode, check_modes, read_mode
+from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
+from worker.spec.errors import BrokenRuleError, SpecInvalid
+
+Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
+#: Limit on Γ of branches and curves.
+MAX_GAMMA: Final = 1e6
+GammaMax = Annotated[
+    Number, Field(gt=0, le=MAX_GAMMA, description="branches and curves are cut above this Γ")
+]
+#: Branches and estimates kept in a process; the least recently used ones are dropped.
+KEPT: Final = 64
+
+#: The contacts whose cycles are followed, and their parameters.
+_CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
+_OF_CONTACT: Final = ("restitution", "penetration", "adhesive")
+
+
+class ContactQuery(Query):
+    """The contact that the spring has."""
+
+    model: Literal["rigid", "soft"] | None = Field(
+        None, description="contact whose cycles are followed; default: the ideal plate in closed form"
+    )
+    restitution: Annotated[Number, Field(ge=0, lt=1)] | None = Field(None, description="of the model")
+    penetration: Annotated[Number, Field(ge=MIN_PENETRATION, le=MAX_PENETRATION)] | None = Field(
+        None, description="of a soft model, in plate amplitudes"
+    )
+    adhesive: Annotated[bool, Field(description="whether a soft model pulls before take-off")] = True
+
+    def contact(self) -> Rigid | Soft | None:
+        """The contact whose cycles are followed; None for the closed form. Raises InvalidRequest."""
+        given = self.model_dump(include={"model", *_OF_CONTACT}, exclude_defaults=True)
+        if "model" not in given:
+            if given:
+                raise InvalidRequest.of("model", f"is required with {', '.join(given)}: rigid or soft")
+            return None
+        fields = _CONTACTS[given.pop("model")]
+        try:
+            return fields(**given)
+        except SpecInvalid as error:
+            raise InvalidRequest("; ".join(map(str, error.problems)), error.problems) from error
+
+
+def name_of(plate: Rigid | Soft) -> str:
+    """A contact and its parameters as text."""
+    name = f"{plate.kind}, restitution {plate.restitution:g}"
+    if isinstance(plate, Rigid):
+        return name
+    return f"{name}, penetration {plate.penetration:g}, {'adhesive' if plate.adhesive else 'not adhesive'}"
+
+
+def parse_modes(text: str) -> tuple[Mode, ...]:
+    """Modes of one bounce, written as bounces and plate periods: `1-1,1-2`. Raises InvalidRequest."""
+    try:
+        modes = [read_mode(part.strip()) for part in text.split(",")]
+        check_modes(modes)
+    except BrokenRuleError as error:
+        raise InvalidRequest.of("modes", error.rule) from error
+    return tuple(sorted(modes))
+
+
+@lru_cache(KEPT)  # called several times for an answer
+def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
+    """Number of flight times of a branch. Raises InvalidRequest above MAX_GRID, and if there is no branch."""
+    try:
+        needed = len(flight_times(omega, xi, periods, points))
+    except KernelInputError as error:
+        raise InvalidRequest.of(error.argument, error.rule) from error
+    if needed > MAX_GRID:
+        rule = (
+            f"1-{periods} at omega {omega:g} takes a branch of {needed:,} points; the limit is "
+            f"{MAX_GRID:,}: ask for fewer periods, or take a larger omega"
+        )
+        raise InvalidRequest.of("modes", rule)
+    return needed
