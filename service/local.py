@@ -206,7 +206,9 @@ def run_to_file(
         job, study = done.job, replace(stored(done.record, done.job), audit=done.audit)
         if format in EXPORTS:
             attributes = exports.attributes_of(done.record, job)
-            whole = exports.Export(study, job.plan, cast(ExportFormat, format), attributes=attributes)
+            whole = exports.Export(
+                study, job.plan, cast(ExportFormat, format), attributes=attributes, runs=done.record.runs
+            )
             with exports.make(InThisProcess(), whole, settings.exports_path) as made:
                 shutil.copyfileobj(made, file)
         else:

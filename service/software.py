@@ -3,10 +3,13 @@
 import json
 import platform
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
+
+from pydantic import Field, TypeAdapter
 
 from kernel.params import KERNEL_VERSION
 
@@ -14,6 +17,20 @@ LIBRARIES: Final = ("numpy", "numba", "dask", "distributed", "zarr", "fastapi", 
 
 #: Limit on the runs of a job that are kept; further ones are not recorded.
 MAX_RUNS: Final = 100
+
+
+@dataclass(frozen=True)
+class Run:
+    """What computed a job, or a part of it."""
+
+    release: str
+    python: str
+    libraries: dict[str, str]
+    processor: str
+    began: float
+
+
+_RUNS: Final = TypeAdapter(Annotated[list[Run], Field(max_length=MAX_RUNS)])
 
 
 class Software(NamedTuple):
@@ -42,10 +59,15 @@ def processor() -> str:
     return platform.machine()
 
 
+def checked_runs(runs: bytes) -> str:
+    """A job's runs, as JSON, from another service. Raises ValueError."""
+    return _RUNS.dump_json(_RUNS.validate_json(runs)).decode()
+
+
 def with_this_run(runs: str, now: float) -> str:
     """A job's runs, as JSON, with the run of this process, unless the last one had the same software."""
     earlier: list[dict[str, Any]] = json.loads(runs)
-    run = software()._asdict() | {"processor": processor()}
-    del run["kernel_version"]
-    same = earlier and {**earlier[-1], "began": None} == {**run, "began": None}
-    return runs if same or len(earlier) >= MAX_RUNS else json.dumps([*earlier, {**run, "began": now}])
+    here = software()
+    run = asdict(Run(here.release, here.python, here.libraries, processor(), now))
+    same = earlier and {**earlier[-1], "began": now} == run
+    return runs if same or len(earlier) >= MAX_RUNS else json.dumps([*earlier, run])

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -56,8 +57,9 @@ def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int 
     events = [(job.created, "accepted")]
     events += [(run["began"], f"computing with {text}") for run, text in zip(runs, software, strict=True)]
     if job.finished is not None and not job.repairing:
-        is_own = runs or job.state is not JobState.DONE  # neither imported nor adopted
+        is_own = job.core_seconds or job.state is not JobState.DONE  # neither imported nor adopted
         events.append((job.finished, str(job.state) if is_own else "taken in"))
+    events.sort(key=itemgetter(0))  # an imported job was computed before it was accepted
     times = [f"{datetime.fromtimestamp(when, UTC):%Y-%m-%dT%H:%M:%SZ} {what}" for when, what in events]
     attributes = {**layout.attributes, **prepared.attributes, **layout.identity}
     attributes["spec"] = {**attributes["spec"], "name": job.name}
@@ -82,6 +84,7 @@ class Export:
     format: ExportFormat
     layout: ExportLayout = "cells"  # what a row of a table is
     attributes: Mapping[str, str | int | float] = field(default_factory=dict)  # see `attributes_of`
+    runs: str = "[]"  # of the job
 
     @cached_property
     def stored(self) -> Layout:
@@ -148,7 +151,9 @@ def write(export: Export, path: Path) -> None:
         if export.format == "html":
             url = export.study.url
             name = json.loads(str(export.attributes["spec"]))["name"]
-            numbers = sharing.packed(url, export.stored, export.plan, name) if export.study.complete else ""
+            numbers = ""
+            if export.study.complete:
+                numbers = sharing.packed(url, export.stored, export.plan, name, export.runs)
             path.write_text(shared.page(export.study, export.attributes, numbers))
             return
         (_write_netcdf if export.format == "nc" else _write_parquet)(

@@ -64,7 +64,7 @@ def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.Export
     limit = service.settings.max_export_bytes
     exports.check(study.spec, prepared.plan, query.format, query.layout, limit)
     attributes = exports.attributes_of(job, prepared)
-    export = exports.Export(study, prepared.plan, query.format, query.layout, attributes)
+    export = exports.Export(study, prepared.plan, query.format, query.layout, attributes, job.runs)
     file = exports.make(service.background, export, service.settings.exports_path)
     headers = {
         "Content-Length": str(file.seek(0, 2)),

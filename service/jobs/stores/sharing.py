@@ -21,6 +21,7 @@ from service.jobs.stores.opening import find_unknown, id_of
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
+from service.software import checked_runs
 from worker import store
 from worker.spec.specification import Label
 from worker.studies import from_stored, study_of
@@ -38,7 +39,7 @@ _OPENS: Final = '<script type="application/json" id="store" data-sha256="'
 _BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">([^<]*)</script>'.encode())
 _SHOWS: Final = re.compile(rb'<script type="application/json" id="(shared|store)"')
 
-_NAME: Final = "name"  # beside the store's files
+_NAME, _RUNS = "name", "runs"  # of the job, beside the store's files
 
 _DAMAGED: Final = "is damaged: its numbers are not those that were written; ask for the file again"
 _NOT_SHARED: Final = "is not one that bounce share wrote"
@@ -48,12 +49,13 @@ _IN_PART: Final = (
 )
 
 
-def packed(url: str, layout: Layout, plan: Plan, name: str) -> str:
+def packed(url: str, layout: Layout, plan: Plan, name: str, runs: str) -> str:
     """A store as an element of a page, with its checksum; empty if it is too large or not complete.
 
-    name: of the job, which may differ from the name in the store.
+    name: of the job, which may differ from the name in the store. runs: the software that computed it.
     """
-    files, size = {_NAME: b64encode(name.encode()).decode()}, 0
+    files = {key: b64encode(text.encode()).decode() for key, text in ((_NAME, name), (_RUNS, runs))}
+    size = 0
     for key in store.keys_of(layout, plan):
         content = store.read_key(url, key)
         size += len(content or b"")
@@ -77,6 +79,7 @@ def import_shared(
         attrs = structured_attributes(json.loads(files[store.ROOT])["attributes"])
         version, spec = str(attrs["kernel_version"]), from_stored(json.dumps(attrs["spec"]))
         given = TypeAdapter(Label).validate_python(files.pop(_NAME, spec.name.encode()).decode())
+        runs = checked_runs(files.pop(_RUNS, b"[]"))
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         raise InvalidRequest.of("file", _DAMAGED) from error
     if version != KERNEL_VERSION:
@@ -117,8 +120,8 @@ def import_shared(
         if id_of(other) == job_id:
             store.remove(settings.store_of(other))
     with ledger.writing() as writing:
-        writing.update(job, name=given)
-    return replace(job, name=given), True
+        writing.update(job, name=given, runs=runs)
+    return replace(job, name=given, runs=runs), True
 
 
 def _unpacked(content: bytes) -> dict[str, bytes]:

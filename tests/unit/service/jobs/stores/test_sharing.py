@@ -1,6 +1,7 @@
 """A shared file as a job of another service: the same bytes, or a sentence that says why not."""
 
 import hashlib
+import html
 import io
 import json
 import re
@@ -61,7 +62,9 @@ def test_it_is_the_same_job_with_the_same_bytes(
     here = answer.headers["Location"]
     assert get(client, f"{here}/modes", xi=0.26, direction="up")["attrs"]["complete"]
     table = client.get(f"{here}/export?format=parquet").content
-    assert parquet.read_schema(io.BytesIO(table)).metadata[b"history"].endswith(b"Z taken in")
+    about = parquet.read_schema(io.BytesIO(table)).metadata
+    assert re.findall(rb"Z (\w+)", about[b"history"]) == [b"computing", b"accepted", b"taken"]
+    assert about[b"software"].decode() in html.unescape(page.decode())
     assert client.delete(here).status_code == 204
     again = client.post("/v1/imports", content=page, headers=HTML)  # before the other is removed
     assert again.status_code == 201
@@ -124,6 +127,7 @@ def _impossible(contents: dict[str, bytes]) -> None:
         (_resealed(_impossible), 422, "is damaged"),
         (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
         (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
+        (_resealed(lambda contents: contents.update(runs=b'[{"release": 1}]')), 422, "is damaged"),
         (_root(KERNEL_VERSION, "0"), 422, "computed by kernel version 0"),
         (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
         (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
