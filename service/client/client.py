@@ -1,11 +1,13 @@
 """The entry point: a client of one service, which submits sweeps and returns jobs."""
 
+import math
 import re
 import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, suppress
 from datetime import datetime
+from functools import partial
 from itertools import islice
 from os import PathLike
 from pathlib import Path
@@ -17,7 +19,7 @@ from service.client.display import PartsCallback, display_line, display_parts
 from service.client.job import FIRST_DELAY, Job, ResultReader, raise_unless_done, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
-from service.client.transport import Transport, header_value, json_object
+from service.client.transport import MAX_OUTAGE, Transport, header_value, json_object, outlast
 from service.formats import MOST_SHARED
 from service.result_methods import SpringMethods
 from service.tokens import DEFAULT_URL
@@ -153,8 +155,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         InvalidSpecification
             The time is too short for any level. Also raises as `submit` and `Job.wait`.
         """
-        response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
-        levels, doing = [Job(self._transport, json_object(response), response)], ""
+        ends = time.monotonic() + budget
+        levels, doing = [self._begin(spec, budget)], ""
         try:
             while True:
                 last = levels[-1]
@@ -166,8 +168,12 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                         raise
                     continue
                 reached = last.view.get("budget")
-                if reached is None:  # the service began anew: the level that it computed is the last one
-                    return last.wait(progress)
+                if reached is None:  # the service began anew, without the budget
+                    try:
+                        levels.append(outlast(partial(self._begin, spec, ends - time.monotonic()), busy=0.0))
+                    except (errors.InvalidSpecification, errors.Busy):  # no other level fits
+                        return _finest_done(levels) or last.wait(progress)
+                    continue
                 if progress and reached["doing"] != doing:
                     doing = reached["doing"]
                     display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
@@ -176,7 +182,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                 # a job that others want goes on beyond its time
                 with suppress(errors.JobCancelled, errors.JobFailed, errors.WaitTimeout, errors.NotFound):
                     if reached["computing"] not in (None, last.id):
-                        last = self.job(reached["computing"])
+                        last = outlast(partial(self.job, reached["computing"]))
                         levels.append(last)
                     if not last.finished:
                         last.wait(progress, timeout=reached["seconds_left"])
@@ -188,7 +194,12 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             if last.state == "failed":
                 raise errors.JobFailed(last)
             raise errors.InvalidSpecification.before_sending(reached["error"])
-        return self.job(reached["answer"])
+        return outlast(partial(self.job, reached["answer"]))
+
+    def _begin(self, spec: Specification, budget: float) -> Job:
+        """The first level of a budget. Raises as `run`."""
+        response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
+        return Job(self._transport, json_object(response), response)
 
     def estimate(self, spec: Specification) -> Estimate:
         """The estimated cost of a sweep, without submitting it. Raises as `submit`."""
@@ -351,14 +362,17 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         Raises
         ------
         ValueError
-            `at_once` is below 1. A specification raises as in `submit` when its turn comes.
+            `at_once` is below 1. A specification raises as in `submit` when its turn comes, but waits for a
+            full queue, and 30 seconds for a service that is away.
         """
         if at_once < 1:
             raise ValueError(f"at_once: must be at least 1, not {at_once}")
-        remaining, submitted = iter(specs), deque[Job]()
+        remaining, submitted, begun = iter(specs), deque[Job](), False
         while True:
             for spec in islice(remaining, at_once - len(submitted)):
-                submitted.append(self.submit(spec))
+                away = MAX_OUTAGE if begun else 0.0
+                submitted.append(outlast(partial(self.submit, spec), away=away, busy=math.inf))
+                begun = True
             if not submitted:
                 return
             yield from until_ended([submitted.popleft()], None)
@@ -440,6 +454,14 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
     def __repr__(self) -> str:
         return f"<Client {self.url}>"
+
+
+def _finest_done(levels: "Iterable[Job]") -> Job | None:
+    """The finest level of a budget that is done, if any."""
+    for level in levels:
+        level._refresh_in_time()
+    done = [level for level in levels if level.state == "done"]
+    return max(done, key=lambda level: level.progress.cells_total, default=None)
 
 
 def _not_found(detail: str) -> errors.NotFound:

@@ -12,7 +12,7 @@ from service.client import errors
 from service.client.display import display_job, job_html, summary
 from service.client.models import JobStatus
 from service.client.specification import body
-from service.client.transport import Transport, json_object, retry_after
+from service.client.transport import OUTAGE_DELAY, Transport, json_object, outlast, retry_after
 from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
 from worker.spec.errors import BounceError
@@ -33,9 +33,6 @@ LONGEST_DELAY: Final = 60.0
 
 #: Seconds between two requests of a wait for several jobs.
 REQUEST_DELAY: Final = 0.02
-
-#: Seconds for which a wait retries while the service is away; a restarted service continues its jobs.
-MAX_OUTAGE: Final = 30.0
 
 
 Kind = Literal["diagram", "modes", "threshold", "orbits", "return", "exponents"]
@@ -197,12 +194,15 @@ class Job(ResultReader, ResultMethods, JobStatus):
         NotFound
             The job was deleted.
         ServiceUnreachable
-            The connection broke, or no answer for `MAX_OUTAGE` seconds.
+            No answer for 30 seconds.
         """
         while True:
-            for _ in self._transport.events(self._path("events")):
-                self._refresh_in_time()
-                yield self
+            try:
+                for _ in self._transport.events(self._path("events")):
+                    self._refresh_in_time()
+                    yield self
+            except errors.ServiceUnreachable:  # the service has died
+                time.sleep(OUTAGE_DELAY)
             if self.finished:
                 return
             self._refresh_in_time()  # the job was deleted, or the service stopped
@@ -232,7 +232,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         WaitTimeout
             The job continues.
         ServiceUnreachable
-            No answer for `MAX_OUTAGE` seconds.
+            No answer for 30 seconds.
         """
         with display_job(progress) as show:
             for _ in until_ended([self], timeout, show):
@@ -372,19 +372,12 @@ class Job(ResultReader, ResultMethods, JobStatus):
 
     def _refresh_in_time(self) -> None:
         """Refresh, waiting for an absent service; become the job that replaces this one, if any."""
-        deadline = time.monotonic() + MAX_OUTAGE
         while True:
             if self._is_replaced():
                 self.id, self._etag = str(self.replaced_by), None
-            try:
-                self.refresh()
-            except (errors.ServiceUnreachable, errors.Busy):
-                if time.monotonic() > deadline:
-                    raise
-                time.sleep(1.0)
-            else:
-                if not self._is_replaced():
-                    return
+            outlast(self.refresh)
+            if not self._is_replaced():
+                return
 
     def _is_replaced(self) -> bool:
         return self.finished and self.state != "done" and self.replaced_by is not None

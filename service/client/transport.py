@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias, TypeVar
 
 import httpx2
 
@@ -40,6 +40,11 @@ SHORTEST_DELAY: Final = 0.1
 #: Seconds of waiting for a busy service before it is reported.
 SHOWN_AFTER: Final = 2.0
 
+#: Seconds for which a wait outlasts a service that is away; a restarted one continues its jobs.
+MAX_OUTAGE: Final = 30.0
+#: Seconds between two of its requests.
+OUTAGE_DELAY: Final = 1.0
+
 #: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
 EVENTS_SECONDS: Final = 60.0
 
@@ -56,6 +61,27 @@ MAX_EVENT_BYTES: Final = 2**20
 _CONNECTION_LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
 
 Query: TypeAlias = Mapping[str, str | float | None]
+Answer = TypeVar("Answer")
+
+
+def outlast(send: Callable[[], Answer], *, away: float = MAX_OUTAGE, busy: float = MAX_OUTAGE) -> Answer:
+    """What `send` returns, repeated while the service does not answer.
+
+    For up to `away` seconds where it is away, `busy` where it is full. Raises ServiceUnreachable or Busy.
+    """
+    began = answered = time.monotonic()
+    while True:
+        try:
+            return send()
+        except (ServiceUnreachable, Busy) as error:
+            now = time.monotonic()
+            if isinstance(error, Busy) and error.status == HTTPStatus.TOO_MANY_REQUESTS:
+                answered, gives_up = now, now - began > busy
+            else:
+                gives_up = now - answered > away
+            if gives_up:
+                raise
+        time.sleep(OUTAGE_DELAY)
 
 
 class Transport:
@@ -141,10 +167,12 @@ class Transport:
         method, headers = ("GET", {}) if content is None else ("POST", {"Content-Type": "application/json"})
         send = partial(self._request, method, path, {**query, "format": format}, headers, content)
         deadline = time.monotonic() + timeout
-        show = display_parts(progress)
+        show, again = display_parts(progress), False
         while True:
             left = deadline - time.monotonic()
-            response = self._when_free(send, left, shown=progress is not False)
+            ask = partial(self._when_free, send, left, shown=progress is not False)
+            response = outlast(ask, away=MAX_OUTAGE if again else 0.0, busy=0.0)
+            again = True
             if response.status_code != HTTPStatus.ACCEPTED:
                 return response.content
             done, total = _parts_computed(response)

@@ -207,13 +207,17 @@ def _write_netcdf(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     import h5netcdf
 
     with _UnrefusedFile(path, "w+") as target:
-        with h5netcdf.File(target, "w") as file:
-            _define(file, export)
-            for cells, arrays in blocks:
-                for name, values in arrays.items():
-                    file.variables[name][tuple(cells.values())] = values
-                if target.refused:
-                    break
+        try:
+            with h5netcdf.File(target, "w") as file:
+                _define(file, export)
+                for cells, arrays in blocks:
+                    for name, values in arrays.items():
+                        file.variables[name][tuple(cells.values())] = values
+                    if target.refused:
+                        break
+        except OSError:
+            if not target.refused:
+                raise
         if target.refused:
             raise target.refused
 

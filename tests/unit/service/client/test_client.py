@@ -4,6 +4,7 @@ import io
 import json
 import pickle
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ import numpy as np
 import pytest
 import xarray
 from paths import ROOT
-from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
-from served import service
+from scripted import DEADLINE, TWO_LINES, Held, Scripted, free_port, sweep, wait_for
+from served import computing_at, service
 from tables import for_each
 
 from kernel.params import Outcome
@@ -180,6 +181,25 @@ def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(
         client.run(spec | {"xi": 0.11}, budget=1e-6, progress=False)
     assert client.job(done.id) == done != client.submit(SPEC)
     assert {job.state for job in client.jobs(search="within a budget")} == {"done"}  # nothing began
+
+
+def test_a_budget_goes_on_at_a_service_that_began_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("service.budget.SECOND", 0.0)  # the first level is the coarsest
+    spec = SPEC | {
+        "gamma": {"start": 1.1, "stop": 5.1, "num": 101},
+        "xi": {"start": 0.1, "stop": 0.3, "num": 41},
+    }
+    port = free_port()
+    with ThreadPoolExecutor(1) as pool:
+        with computing_at(tmp_path, port=port) as address:
+            client = Client(address)
+            budget = pool.submit(client.run, spec, budget=20 * DEADLINE, progress=False)
+            wait_for(lambda: list(client.jobs(state="done")))
+            (first, *_) = client.jobs(order="oldest")
+        with computing_at(tmp_path, port=port):
+            done = budget.result(10 * DEADLINE)
+            assert (done.view["budget"]["over"], done.state) == (True, "done")
+            assert done == client.submit(spec) != first
 
 
 @for_each("how", ["submitted", "resumed"])

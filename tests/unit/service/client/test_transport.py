@@ -7,7 +7,6 @@ import os
 import pickle
 import socket
 import threading
-import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +33,7 @@ from service.client import (
     Unanswered,
     Unauthorized,
     UnexpectedAnswer,
+    transport,
 )
 
 
@@ -290,15 +290,26 @@ def test_an_unchanged_job_is_requested_by_its_etag():
 
 
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
-    from service.client import job as module
-
-    pauses: list[float] = []
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append))
-    monkeypatch.setattr(module, "MAX_OUTAGE", DEADLINE)
+    monkeypatch.setattr(transport, "OUTAGE_DELAY", 0.01)
     gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
-    assert pauses == pytest.approx([0.05, 1.0, 1.0], abs=0.01)
+
+
+def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(transport, "OUTAGE_DELAY", 0.01)
+    full, done = Answer(429, {"detail": "full"}), Answer(202, view("done", 10))
+    with scripted(full, done, *[LOST] * 3, Answer(503, {}), full, done) as (_, client):
+        assert [job.state for job in client.map([{}, {}])] == ["done", "done"]
+    with scripted(*[LOST] * 3) as (_, client), pytest.raises(ServiceUnreachable):
+        next(client.map([{}]))  # of a service that was never there
+
+
+def test_a_result_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(transport, "OUTAGE_DELAY", 0.01)
+    computing = Answer(202, {"progress": {"parts_done": 0, "parts_total": 1}}, Retry_After="0")
+    with scripted(Answer(body=view("done", 10)), computing, *[LOST] * 3, Answer(body={})) as (_, client):
+        assert client.job(ID).result_file("threshold", "json", progress=False) == b"{}"
 
 
 def test_a_list_goes_on_to_its_last_page():

@@ -77,9 +77,7 @@ def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
     assert answer.attrs["model"] == "soft, restitution 0.01, penetration 0.001, adhesive"
     assert answer.sizes["branch"] == 1
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
-        row.name
-        for row in SPRINGS["orbits"].variables
-        if row.name not in (*BALANCE, "event_complete")
+        row.name for row in SPRINGS["orbits"].variables if row.name not in (*BALANCE, "event_complete")
     }
     folds = answer.event_gamma.values[answer.event_kind.values == "fold"]
     assert sorted(folds) == pytest.approx([0.553241345562, 0.915986309968], abs=1e-9)
