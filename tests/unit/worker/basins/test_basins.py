@@ -11,6 +11,7 @@ import numpy as np
 import paths
 import pytest
 import xarray
+from slices import cut_finely
 from tables import for_each
 
 from kernel.line import LineRun
@@ -97,12 +98,6 @@ def test_fractions_and_entropies_are_those_of_the_reference(tmp_path: Path, refe
     for name in ("basin_entropy", "boundary_entropy"):
         if reference[name] is not None:
             assert float(stored[name]) == pytest.approx(reference[name], abs=1e-6)
-
-
-def test_three_cycles_of_one_mode_are_three_attractors():
-    found = search(1.0, 0.34, 0.05, settle=1500)
-    assert told(found) == [(Outcome.PERIODIC, 1, 1)] * 3
-    assert [round(a.longest_flight, 3) for a in found.attractors] == [5.179, 1.054, 2.905]
 
 
 def test_a_start_that_diverges_belongs_to_no_attractor():
@@ -199,9 +194,7 @@ def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path, whole:
 def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
 ):
-    monkeypatch.setattr(work, "FIRST_STEPS", 65_537)
-    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)
-    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    cut_finely(monkeypatch, 65_537)
     looks = itertools.count()
     monkeypatch.setattr(work.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
     spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
@@ -228,17 +221,9 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
 
 def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided():
     spec = basin(rows=6, columns=6, keep=2)
+    window = {"flight_time": np.zeros(2), "takeoff_phase": np.zeros(2)}
     attractors = tuple(
-        Attractor(
-            Outcome.PERIODIC,
-            i + 1,
-            1,
-            np.array([1.0 + i]),
-            np.empty(0),
-            np.zeros(6),
-            flight_time=np.zeros(2),
-            takeoff_phase=np.zeros(2),
-        )
+        Attractor(Outcome.PERIODIC, i + 1, 1, np.array([1.0 + i]), np.empty(0), np.zeros(6), **window)
         for i in range(MAX_ATTRACTORS + 2)
     )
     found = Found(np.arange(36, dtype=np.uint16), attractors)
