@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from stores import files
 
-from worker import store, work
+from worker import store
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
 from worker.study import Plan
@@ -67,13 +67,6 @@ def values(url: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 3)])
 def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
     assert values(compute(spec, tmp_path / "cut.zarr", shape)) == expected
-
-
-def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeypatch):
-    monkeypatch.setattr(work, "CANCEL_SECONDS", 0.0)
-    monkeypatch.setattr(work, "FIRST_STEPS", 16)
-    monkeypatch.setattr(work, "MOST_STEPS", 16)  # a piece for every few periods
-    assert values(compute(spec, tmp_path / "pieces.zarr", spec.shape[1:])) == expected
 
 
 def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, cluster):
