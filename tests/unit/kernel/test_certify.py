@@ -182,15 +182,8 @@ def test_a_ramp_goes_on_from_the_cycle(plate: str):
     for i in range(N):
         one = slice(i, i + 1)
         fields = (x[one] if isinstance(x, np.ndarray) else x for x in PLATES[plate])
-        cell = run_line(
-            GAMMA[one],
-            OMEGA[one],
-            XI[one],
-            plate=type(PLATES[plate])(*fields),
-            carry=True,
-            start=start,
-            **CERTIFY,
-        )
+        options = CERTIFY | {"plate": type(PLATES[plate])(*fields), "carry": True, "start": start}
+        cell = run_line(GAMMA[one], OMEGA[one], XI[one], **options)
         assert_same_bytes(cell, Line(*(x[one] for x in line)))
         start = Start(cell.end_state[0], Cell(GAMMA[i], OMEGA[i], XI[i]))
 
