@@ -93,6 +93,11 @@ def last_cycle(line: Line, flights: int) -> np.ndarray:
     return np.sort(recorded(line)[-flights:])
 
 
+def part(line: Line, cells: Any) -> Line:
+    """Some cells of a line."""
+    return Line(*(field[cells] for field in line))
+
+
 def assert_same_bytes(first: Line, second: Line) -> None:
     for name, a, b in zip(Line._fields, first, second, strict=True):
         assert a.tobytes() == b.tobytes(), name

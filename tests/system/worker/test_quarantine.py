@@ -2,6 +2,7 @@
 
 import errno
 import socket
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,7 @@ def break_disk() -> None:
 
 def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     use_cache(CACHE)
-    executor = Dask(workers=2, kernel_cache=CACHE)
-    try:
+    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         client = executor._connection.client
         bad = sorted(client.scheduler_info()["workers"])[0]
@@ -47,14 +47,11 @@ def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogC
         failures = [message for message in caplog.messages if "Input/output error" in message]
         assert all(f"worker {bad} on {socket.gethostname()}" in message for message in failures)
         assert 1 <= len(failures) <= ended.chunks_total
-    finally:
-        executor.close()
 
 
 def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
     use_cache(CACHE)
-    executor = Dask(workers=2, kernel_cache=CACHE)
-    try:
+    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         first, second = sorted(executor._connection.client.scheduler_info()["workers"])
         spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")
@@ -74,5 +71,3 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
 
         wait_for(computed, seconds=PATIENCE)
         assert futures[-1].result().index == 0
-    finally:
-        executor.close()

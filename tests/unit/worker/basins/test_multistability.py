@@ -53,29 +53,6 @@ def test_shares_of_cells_with_several_attractors(tmp_path: Path, reference: dict
     assert float((data.fraction.sum("id") + data.undecided).max()) == pytest.approx(1.0)
 
 
-def test_two_attractors_are_followed_where_a_ramp_has_hysteresis(tmp_path: Path):
-    """Fig. 2 of the paper: (3,4) and (1,2) at gamma 3.6. The former grazes: its mode changes along gamma."""
-    gamma = [3.56, 3.58, 3.6, 3.62, 3.64]
-    data = computed(str(tmp_path / "a.zarr"), multistability(gamma=gamma, omega=0.5))
-    line = data.isel(xi=0, omega=0)
-    modes: dict[int, list[tuple[int, int]]] = {0: [], 1: []}
-    at = {0: 0, 1: 1}
-    for j in range(len(gamma)):
-        cell = line.isel(gamma=j)
-        assert int(cell.attractor_count) == 2
-        for branch, k in at.items():
-            modes[branch].append((int(cell.bounces[k]), int(cell.periods[k])))
-            assert float(cell.fraction[k]) > 0.3
-            reached = int(cell.next_up[k]) - 1
-            if j + 1 < len(gamma):
-                assert int(line.next_down[j + 1, reached]) == k + 1
-                at[branch] = reached
-            else:
-                assert int(cell.next_up[k]) == -1
-    assert modes == {0: [(0, 0), (3, 4), (3, 4), (4, 4), (2, 2)], 1: [(1, 2)] * 5}
-    assert (line.next_down[0, :2] == -1).all()
-
-
 def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
     """(1,1) at omega 0.6, xi 0.05 begins in a fold at gamma 0.5532, beside rest."""
     events = fold_events(0.6, 0.05, 1, 1.0)

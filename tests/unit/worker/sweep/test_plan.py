@@ -5,10 +5,11 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from studies import spec_of
 
 import kernel.line  # noqa: F401 - registers the models' lanes
 from worker.spec.errors import SpecTooLarge
-from worker.study import Chunk, Cost, Plan
+from worker.study import Chunk, Plan
 from worker.study.chunks import check_size
 from worker.study.layout import INNER_BYTES
 from worker.sweep import AXES, SweepSpec, schema
@@ -32,10 +33,6 @@ def sweep(xi=1, omega=1, gamma=1, ramp=None, **more) -> SweepSpec:
     }
     protocol = {"kind": "ramp", "axis": ramp[0], "direction": ramp[1]} if ramp else {"kind": "rest"}
     return SweepSpec(**(axes | {"protocol": protocol, "model": {"kind": "rigid"}} | more))
-
-
-def cost_of(spec: SweepSpec) -> Cost:
-    return estimate(spec, make_plan(spec))
 
 
 sizes = st.integers(1, 10)
@@ -94,7 +91,8 @@ def test_a_sweep_of_seconds_has_chunks_for_many_workers_and_a_small_one_few():
 
 
 def test_too_much_is_refused_with_the_limit():
-    cost = cost_of(sweep(gamma=1000))
+    spec = sweep(gamma=1000)
+    cost = estimate(spec, make_plan(spec))
     check_size(cost, max_cells=1000, max_bytes=1_061_000, max_core_seconds=cost.upper_core_seconds)
     for limit, rule in (
         ({"max_cells": 999}, r"^asks for 1,000 cells; at most 999 are allowed: take fewer values$"),
@@ -108,15 +106,10 @@ def test_too_much_is_refused_with_the_limit():
             check_size(cost, **limit)
 
 
-def huge(kind: str, xi: int) -> SweepSpec:
-    axes = {"gamma": (0.5, 6.0, 1000), "omega": (0.1, 5.0, 1000), "xi": (0.02, 5.0, xi)}
-    ranges = {name: dict(zip(("start", "stop", "num"), axis, strict=True)) for name, axis in axes.items()}
-    return SweepSpec.model_validate({**ranges, "model": {"kind": kind}})
-
-
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
 def test_a_billion_cells_are_less_than_150_000_files(kind: str):
-    spec = huge(kind, 1000)
+    grid = spec_of((0.5, 6.0, 1000), (0.1, 5.0, 1000), (0.02, 5.0, 1000), model={"kind": kind})
+    spec = SweepSpec(**grid)
     plan, files = make_plan(spec), len(list(schema.arrays(spec)))
     assert len(plan) * files < 150_000
     cut = schema.layout(spec, plan.chunk_shape)

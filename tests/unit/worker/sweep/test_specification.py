@@ -177,14 +177,6 @@ def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, 
     assert "unstable" not in refusal(fewest)  # though it may take too many of them
 
 
-def test_a_specification_is_an_object_with_three_axes():
-    for data in (None, [1], "text"):
-        with pytest.raises(SpecInvalid, match=r"^a specification must be a group of fields, not "):
-            SweepSpec.parse(data)
-    with pytest.raises(SpecInvalid, match=r"^gamma: is required\nomega: is required\nxi: is required$"):
-        SweepSpec.parse({})
-
-
 @given(
     st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 300), st.sampled_from(["linear", "log"])
 )  # fmt: skip
