@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from chunks import planned
 from harm import leave
 from paths import CACHE
 from scripted import costing, wait_for
 from served import running
 
 from service.ledger.model import JobState
-from worker import store, watchdog
+from worker import watchdog
 from worker.executors.base import WorkerLeft
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
 
 PATIENCE = 240.0
 
@@ -55,8 +54,7 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         first, second = sorted(executor._connection.client.scheduler_info()["workers"])
         spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")
-        plan = make_plan(spec)
-        store.create(url, layout(spec, plan.chunk_shape))
+        plan = planned(url, spec)
         executor._roster.failed((url, 0), first)
         executor._connection.client.run(leave, workers=[second], on_error="ignore")
         futures = [executor.submit(spec, plan[0], url)]

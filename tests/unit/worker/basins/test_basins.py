@@ -11,7 +11,7 @@ import numpy as np
 import paths
 import pytest
 import xarray
-from slices import cut_finely
+from chunks import computed, cut_finely, planned
 from tables import for_each
 
 from kernel.line import LineRun
@@ -24,12 +24,9 @@ from worker.basins.specification import BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
-from worker.studies import STUDIES
 from worker.study import ChunkOptions, ChunkPaused
 from worker.study.chunks import with_options
 from worker.study.layout import empty_record
-
-BASINS = STUDIES["basin"]
 
 GOLDEN = json.loads((paths.GOLDEN / "basins.json").read_text())
 
@@ -43,15 +40,6 @@ def basin(**fields: Any) -> BasinSpec:
     """A specification like SPEC with some fields of the protocol, or others, changed."""
     protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
     return BasinSpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
-
-
-def computed(url: str, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> xarray.Dataset:
-    plan = BASINS.plan(spec, chunk_shape)
-    store.create(url, BASINS.variables(spec, plan.chunk_shape))
-    for chunk in plan:
-        report = run_chunk(spec, chunk, url)
-        assert sum(report.outcomes) == report.cells == chunk.cells
-    return xarray.open_zarr(url, chunks=None).load()
 
 
 def search(
@@ -198,8 +186,7 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     looks = itertools.count()
     monkeypatch.setattr(work.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
     spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
-    plan = BASINS.plan(spec, (2, 1, 3))
-    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    plan = planned(url, spec, (2, 1, 3))
     done: list[int] = []
     for attempt in itertools.count():
         assert attempt < 5000

@@ -7,18 +7,14 @@ from typing import Any
 import numpy as np
 import paths
 import pytest
-import xarray
+from chunks import computed
 from studies import spec_of
 
 from kernel.cycles.events import Kind, fold_events
 from kernel.params import Outcome
-from worker import store
-from worker.basins.multistability import run_chunk
 from worker.basins.specification import MultistabilitySpec
 from worker.spec.errors import SpecError
 from worker.studies import STUDIES
-
-MULTISTABILITY = STUDIES["multistability"]
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
@@ -28,17 +24,6 @@ SPEC = spec_of([3.4, 3.6, 3.8], [0.5, 0.52], 0.26, protocol={"kind": "multistabi
 def multistability(**fields: Any) -> MultistabilitySpec:
     protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
     return MultistabilitySpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
-
-
-def computed(
-    url: str, spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None
-) -> xarray.Dataset:
-    plan = MULTISTABILITY.plan(spec, chunk_shape)
-    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
-    for chunk in plan:
-        report = run_chunk(spec, chunk, url)
-        assert sum(report.outcomes) == report.cells == chunk.cells
-    return xarray.open_zarr(url, chunks=None).load()
 
 
 @pytest.mark.parametrize("reference", GOLDEN["maps"], ids=lambda reference: f"xi {reference['xi']}")
@@ -143,4 +128,4 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
 
 def test_lines_along_gamma_are_not_cut():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
-        MULTISTABILITY.plan(multistability(), (1, 1, 2))
+        STUDIES["multistability"].plan(multistability(), (1, 1, 2))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from slices import cut_finely, run_in_slices
+from chunks import compute, cut_finely, planned, run_in_slices
 from stores import files
 from studies import spec_of
 from tables import for_each
@@ -17,7 +17,6 @@ from worker.maps.plan import estimate, make_plan, tile_shape
 from worker.maps.refinement import Tile, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import MAX_COARSEST, Refine
-from worker.studies import run_task, study_of
 from worker.study.chunks import check_size
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
@@ -32,23 +31,16 @@ def sweep(**changes: Any) -> SweepSpec:
     return SweepSpec(**SPACE | changes)
 
 
-def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
-    """The plane of a map, computed chunk by chunk in this process."""
-    plan = study_of(spec).plan(spec, shape)
-    store.create(str(url), schema.layout(spec, plan.chunk_shape))
-    for chunk in plan:
-        run_task(spec, chunk, str(url))
-    return plane(spec, url)
-
-
-def plane(spec: SweepSpec, url: Path) -> dict[str, np.ndarray]:
+def plane(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
+    """The plane of a map, computed here."""
+    compute(url, spec, shape)
     stored = store.read_slice(str(url), [array.name for array in schema.arrays(spec)], complete=True)
     return {name: array[0, 0] for name, array in stored.items()}
 
 
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
-    return compute(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
+    return plane(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
 
 
 MODE = Refine(by="mode", coarsest=8)
@@ -122,27 +114,27 @@ def test_a_block_without_a_mode_is_filled_only_if_nine_samples_agree(without: Ou
 @pytest.mark.parametrize("by", ["mode", "bouncing"])
 def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by):
     refine = Refine(by=by, coarsest=8)
-    found = compute(sweep(refine=refine), tmp_path / "a.zarr")
+    found = plane(sweep(refine=refine), tmp_path / "a.zarr")
     computed = found["computed"] == 1
     assert 0.05 < computed.mean() < 0.9
     for name, array in full.items():
         assert array[computed].tobytes() == found[name][computed].tobytes(), name
     assert np.isnan(found["flight_time"][~computed]).all()
     assert not found["flights"][~computed].any()
-    kinds = [classes(refine, *(plane[name] for name in MODE_ARRAYS)) for plane in (full, found)]
+    kinds = [classes(refine, *(cells[name] for name in MODE_ARRAYS)) for cells in (full, found)]
     assert np.mean(kinds[0] != kinds[1]) < (0.015 if by == "mode" else 0.001)
     for outcome in Outcome:
-        shares = [np.mean(plane["outcome"] == outcome) for plane in (full, found)]
+        shares = [np.mean(cells["outcome"] == outcome) for cells in (full, found)]
         assert by == "bouncing" or abs(shares[0] - shares[1]) < 0.01, outcome
 
 
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     refine, omega = {"by": "mode", "coarsest": 8}, {"start": 0.35, "stop": 0.7, "num": 20}
     spec = sweep(refine=refine, omega=omega, until=300)
-    compute(spec, tmp_path / "whole.zarr")
+    compute(tmp_path / "whole.zarr", spec, TILE)
     cut_finely(monkeypatch, 16384)
-    plan, url = make_plan(spec, TILE), tmp_path / "paused.zarr"
-    store.create(str(url), schema.layout(spec, plan.chunk_shape))
+    url = tmp_path / "paused.zarr"
+    plan = planned(url, spec, TILE)
     assert sum(run_in_slices(spec, chunk, str(url))[1] for chunk in plan) > len(plan)
     assert files(url) == files(tmp_path / "whole.zarr")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chunks import cut_finely, planned, run_in_slices
 from kernel_runs import Model, run_line
-from slices import cut_finely, run_in_slices
 from stores import files
 
 from kernel.cycles.starts import cycles_at
@@ -17,17 +17,14 @@ from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused, Plan, Predec
 from worker.study.chunks import with_options
 from worker.sweep import AXES, SweepSpec, task
 from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
 from worker.sweep.task import run_chunk
 
 RECORD = ("flight_time", "takeoff_phase", "flights", "outcome", "bounces", "periods")
 
 
 def stored(tmp_path, spec: SweepSpec, shape=None) -> tuple[Plan, str]:
-    plan = make_plan(spec, chunk_shape=shape)
     url = str(tmp_path / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    return plan, url
+    return planned(url, spec, shape), url
 
 
 def naive_line(spec: SweepSpec, gamma, omega, xi, carry: bool):
