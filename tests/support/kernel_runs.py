@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from hypothesis import settings
+from hypothesis import strategies as st
 from naive import Setting, State
 from plates import Model, plate_of, run_line
 
@@ -29,6 +30,11 @@ def sample(cell: Cell, contact: dict[str, Any], state: Any, *, model: Model, **o
         for name, value in values.items()
     }
     return trajectory.sample(cell, plate_of(model, **arrays), state, **options)
+
+
+def powers(low: float, high: float) -> st.SearchStrategy[float]:
+    """Powers of ten between these exponents."""
+    return st.floats(low, high).map(lambda x: 10.0**x)
 
 
 def examples(count: int) -> settings:
@@ -85,6 +91,11 @@ def recorded(line: Line, i: int = 0) -> np.ndarray:
 def last_cycle(line: Line, flights: int) -> np.ndarray:
     """The last `flights` flights of the first cell, sorted."""
     return np.sort(recorded(line)[-flights:])
+
+
+def part(line: Line, cells: Any) -> Line:
+    """Some cells of a line."""
+    return Line(*(field[cells] for field in line))
 
 
 def assert_same_bytes(first: Line, second: Line) -> None:

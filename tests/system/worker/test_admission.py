@@ -127,26 +127,25 @@ def test_a_worker_that_differs_is_refused_beside_one_that_computes(
     start(processes, tmp_path)
     with Client(processes.address, timeout=60, set_as_default=False) as client:
         wait_for(lambda: client.scheduler_info()["workers"], processes.log, PATIENCE)
-    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
-    try:
-        with running(tmp_path / "data", executor) as service:
-            job = service.submit(costing(chunks=20, seconds=0.1))
-            wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
-            [reason] = executor.state().refused
-            assert why in reason
-            assert f"on {socket.gethostname()}" in reason
-            assert "tcp://127.0.0.1:" in reason
-            assert executor.workers() == 0
-            wait_for(lambda: reason in (service.manager.supervisor.cluster.explanation or ""))
-            assert service.manager.fault() == "no workers yet; jobs wait until there are; workers refused: 1"
-            assert service.job(job).chunks_done == 0
-            processes.worker()
-            ended = service.until(job, JobState.DONE, seconds=PATIENCE)
-            assert ended.chunks_done == ended.chunks_total
-            wait_for(lambda: executor.workers() == 1)
-            wait_for(lambda: service.manager.fault() is None)
-    finally:
-        executor.close()
+    with (
+        closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor,
+        running(tmp_path / "data", executor) as service,
+    ):
+        job = service.submit(costing(chunks=20, seconds=0.1))
+        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
+        [reason] = executor.state().refused
+        assert why in reason
+        assert f"on {socket.gethostname()}" in reason
+        assert "tcp://127.0.0.1:" in reason
+        assert executor.workers() == 0
+        wait_for(lambda: reason in (service.manager.supervisor.cluster.explanation or ""))
+        assert service.manager.fault() == "no workers yet; jobs wait until there are; workers refused: 1"
+        assert service.job(job).chunks_done == 0
+        processes.worker()
+        ended = service.until(job, JobState.DONE, seconds=PATIENCE)
+        assert ended.chunks_done == ended.chunks_total
+        wait_for(lambda: executor.workers() == 1)
+        wait_for(lambda: service.manager.fault() is None)
 
 
 def test_a_worker_that_dies_while_it_is_prepared_does_not_keep_the_service_from_starting(
@@ -156,13 +155,10 @@ def test_a_worker_that_dies_while_it_is_prepared_does_not_keep_the_service_from_
     processes.worker()
     with Client(processes.address, timeout=60, set_as_default=False) as client:
         wait_for(lambda: len(client.scheduler_info()["workers"]) == 2, processes.log, PATIENCE)
-    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
-    try:
+    with closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor:
         assert "the workers cannot be prepared, trying again" in caplog.text
         assert executor.call(len, "abc").result(PATIENCE) == 3
         wait_for(lambda: executor.workers() == 1)
-    finally:
-        executor.close()
 
 
 def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_can(
@@ -171,40 +167,34 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
     """It is given a chunk at once, before it is refused."""
     errors = noting_errors(monkeypatch)
     processes.worker()
-    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
-    try:
-        with running(tmp_path / "data", executor, chunk_tries=1) as service:
-            job = service.submit(costing(chunks=2000, seconds=0.1))
-            wait_for(lambda: service.job(job).chunks_done >= 1, processes.log, PATIENCE)
-            without_the_project(processes, tmp_path)
-            wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
-            done = service.job(job).chunks_done
-            wait_for(lambda: service.job(job).chunks_done >= done + 3, processes.log, PATIENCE)
-            wait_for(lambda: executor.workers() == 1)
-            wait_for(lambda: len(executor._connection.worker_threads() or ()) == 2)
-            (tmp_path / "tree" / "installed").touch()
-            wait_for(
-                lambda: executor.workers() == 2 and not executor.state().refused, processes.log, PATIENCE
-            )
-            service.manager.cancel(job.id)
-            assert service.until(job, JobState.CANCELLED).error is None
-    finally:
-        executor.close()
+    with (
+        closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor,
+        running(tmp_path / "data", executor, chunk_tries=1) as service,
+    ):
+        job = service.submit(costing(chunks=2000, seconds=0.1))
+        wait_for(lambda: service.job(job).chunks_done >= 1, processes.log, PATIENCE)
+        without_the_project(processes, tmp_path)
+        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
+        done = service.job(job).chunks_done
+        wait_for(lambda: service.job(job).chunks_done >= done + 3, processes.log, PATIENCE)
+        wait_for(lambda: executor.workers() == 1)
+        wait_for(lambda: len(executor._connection.worker_threads() or ()) == 2)
+        (tmp_path / "tree" / "installed").touch()
+        wait_for(lambda: executor.workers() == 2 and not executor.state().refused, processes.log, PATIENCE)
+        service.manager.cancel(job.id)
+        assert service.until(job, JobState.CANCELLED).error is None
     unexpected = [error for error in errors if not isinstance(error, EXPECTED)]
     assert unexpected == []
 
 
 def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, processes: Processes):
     stores = tmp_path / "data" / "stores"
-    executor = Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)
-    try:
+    with closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor:
         stores.rename(tmp_path / "away")
         processes.worker()
         wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
         (tmp_path / "away").rename(stores)
         wait_for(lambda: executor.workers() == 1 and not executor.state().refused, seconds=PATIENCE)
-    finally:
-        executor.close()
 
 
 def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(tmp_path: Path):

@@ -5,16 +5,11 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
+from chunks import computed, planned
 from stores import files
 
-from worker import store, work
 from worker.executors.base import Executor
-from worker.executors.inline import Inline
-from worker.study import Plan
 from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
-from worker.sweep.task import run_chunk
 
 SWEEPS = {
     "from rest": {},
@@ -33,24 +28,12 @@ def spec(request, small_spec) -> SweepSpec:
 @pytest.fixture
 def expected(spec, tmp_path) -> dict[str, bytes]:
     """The values of a sweep computed as a single chunk."""
-    return values(compute(spec, tmp_path / "expected.zarr", shape=spec.shape[1:]))
+    return values(computed(tmp_path / "expected.zarr", spec, spec.shape[1:]))
 
 
-def make(spec: SweepSpec, url: Path, shape=None) -> Plan:
-    plan = make_plan(spec, chunk_shape=shape)
-    store.create(str(url), layout(spec, plan.chunk_shape))
-    return plan
-
-
-def compute(spec: SweepSpec, url: Path, shape=None) -> Path:
-    for chunk in make(spec, url, shape):
-        run_chunk(spec, chunk, str(url))
-    return url
-
-
-def compute_with(executor: Executor, spec: SweepSpec, url: Path, shape=None) -> Path:
+def compute_with(executor: Executor, spec: SweepSpec, url: Path) -> Path:
     """Submit all chunks, line by line of the ramp: a chunk waits for its predecessor."""
-    plan = make(spec, url, shape)
+    plan = planned(url, spec, (1, 1, 7))
     for wave in range(0, len(plan), plan.lines):
         futures = [executor.submit(spec, chunk, str(url)) for chunk in plan[wave : wave + plan.lines]]
         wait(futures)
@@ -58,28 +41,18 @@ def compute_with(executor: Executor, spec: SweepSpec, url: Path, shape=None) -> 
     return url
 
 
-def values(url: Path) -> dict[str, bytes]:
+def values(dataset: xr.Dataset) -> dict[str, bytes]:
     """The bytes of every stored array."""
-    with xr.open_zarr(url) as dataset:
-        return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
+    return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 3)])
 def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
-    assert values(compute(spec, tmp_path / "cut.zarr", shape)) == expected
+    assert values(computed(tmp_path / "cut.zarr", spec, shape)) == expected
 
 
-def test_cells_are_computed_the_same_in_pieces(spec, expected, tmp_path, monkeypatch):
-    monkeypatch.setattr(work, "CANCEL_SECONDS", 0.0)
-    monkeypatch.setattr(work, "FIRST_STEPS", 16)
-    monkeypatch.setattr(work, "MOST_STEPS", 16)  # a piece for every few periods
-    assert values(compute(spec, tmp_path / "pieces.zarr", spec.shape[1:])) == expected
-
-
-def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, cluster):
-    inline = Inline()
-    by_inline = compute_with(inline, spec, tmp_path / "inline.zarr", (1, 1, 7))
-    inline.close()
-    by_cluster = compute_with(cluster, spec, tmp_path / "cluster.zarr", (1, 1, 7))
+def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, inline, cluster):
+    by_inline = compute_with(inline, spec, tmp_path / "inline.zarr")
+    by_cluster = compute_with(cluster, spec, tmp_path / "cluster.zarr")
     assert files(by_inline) == files(by_cluster)
-    assert values(by_cluster) == expected
+    assert values(xr.open_zarr(by_cluster)) == expected

@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import dask
@@ -47,8 +48,7 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
 ):
     made.append(local_cluster(0))
     made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="1 s")
-    executor = Dask(made[0], kernel_cache=CACHE)
-    try:
+    with closing(Dask(made[0], kernel_cache=CACHE)) as executor:
         wait_for(lambda: executor.state().connected)
         assert executor.workers() == 0
         with running(tmp_path, executor) as service:
@@ -61,22 +61,16 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total
             wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
-    finally:
-        executor.close()
 
 
 def test_a_cancelled_job_ends_while_there_are_no_workers(tmp_path: Path, made: list[LocalCluster]):
     made.append(local_cluster(0))
-    executor = Dask(made[0], kernel_cache=CACHE)
-    client = executor._connection.client
-    try:
-        with running(tmp_path, executor) as service:
-            job = service.submit(costing())
-            service.until(job, JobState.RUNNING)
-            service.manager.cancel(job.id)
-            service.until(job, JobState.CANCELLED)
-    finally:
-        executor.close()
+    with closing(Dask(made[0], kernel_cache=CACHE)) as executor, running(tmp_path, executor) as service:
+        client = executor._connection.client
+        job = service.submit(costing())
+        service.until(job, JobState.RUNNING)
+        service.manager.cancel(job.id)
+        service.until(job, JobState.CANCELLED)
     assert (client.status, made[0].status.name) == ("closed", "running")
 
 
@@ -85,24 +79,23 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
         made.append(local_cluster(1))
         return made[-1]
 
-    executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
     faults = set()
+    with (
+        closing(Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)) as executor,
+        running(tmp_path, executor) as service,
+    ):
 
-    def again() -> bool:
-        faults.add(executor.state().fault)
-        return len(made) == 2 and executor.workers() == 1
+        def again() -> bool:
+            faults.add(executor.state().fault)
+            return len(made) == 2 and executor.workers() == 1
 
-    try:
-        with running(tmp_path, executor) as service:
-            job = service.submit(costing(chunks=30, seconds=0.1))
-            wait_for(lambda: service.job(job).chunks_done >= 2, seconds=PATIENCE)
-            closing = threading.Thread(target=made[0].close)  # another may be there before it ends
-            closing.start()
-            wait_for(again, lambda: f"{faults}", PATIENCE)
-            closing.join()
-            service.until(job, JobState.DONE, seconds=PATIENCE)
-    finally:
-        executor.close()
+        job = service.submit(costing(chunks=30, seconds=0.1))
+        wait_for(lambda: service.job(job).chunks_done >= 2, seconds=PATIENCE)
+        vanishing = threading.Thread(target=made[0].close)  # another may be there before it ends
+        vanishing.start()
+        wait_for(again, lambda: f"{faults}", PATIENCE)
+        vanishing.join()
+        service.until(job, JobState.DONE, seconds=PATIENCE)
     assert made[1].status.name == "closed"
     assert any("the Dask scheduler does not answer" in fault for fault in faults if fault)
 
@@ -122,8 +115,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
         sent.set()
         await asyncio.Event().wait()
 
-    executor = Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)
-    try:
+    with closing(Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)) as executor:
         with monkeypatch.context() as patched:
             patched.setattr(executor, "_run", swallowed)
             call = executor.call(len, "abc")
@@ -133,15 +125,12 @@ def test_what_the_connection_swallows_is_lost_with_it(
             call.result(PATIENCE)
         wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
         assert executor.call(len, "abcd").result(PATIENCE) == 4
-    finally:
-        executor.close()
 
 
 def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
         made.append(local_cluster(2))
-        executor = Dask(CreatedCluster(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)
-        try:
+        with closing(Dask(CreatedCluster(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)) as executor:
             lost = next(iter(made[0].workers.values()))
             address = lost.worker_address
             made[0].sync(lost.close)
@@ -152,5 +141,3 @@ def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
 
             wait_for(replaced, seconds=PATIENCE)
             wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
-        finally:
-            executor.close()

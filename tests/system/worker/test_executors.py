@@ -1,10 +1,11 @@
-"""Executors: one interface for this process and for a cluster, and errors that name the cause."""
+"""The executor on a cluster: who listens, who is replaced, and errors that name the cause."""
 
 import os
 import re
 import signal
 import threading
 import time
+from contextlib import closing
 
 import dask
 import psutil
@@ -13,56 +14,12 @@ from distributed import LocalCluster
 from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
-from stores import is_sound
 
-from worker import store
-from worker.executors.base import ClusterLost, Executor
+from worker.executors.base import ClusterLost
 from worker.executors.dask import Dask
-from worker.study import ChunkCancelled, ChunkReport, Plan
-from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
 
 #: The longest wait for a result (s): the machine may be compiling kernels at the same time.
 PATIENCE = 180
-
-
-@pytest.fixture(params=["inline", "cluster"])
-def executor(request) -> Executor:
-    return request.getfixturevalue(request.param)
-
-
-@pytest.fixture
-def planned(small_spec, tmp_path) -> tuple[SweepSpec, Plan, str]:
-    spec = small_spec()
-    plan, url = make_plan(spec, chunk_shape=(1, 3, 5)), str(tmp_path / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    return spec, plan, url
-
-
-def test_every_chunk_comes_back_with_a_report(executor, planned):
-    spec, plan, url = planned
-    futures = [executor.submit(spec, chunk, url) for chunk in plan]
-    reports = [future.result(PATIENCE) for future in futures]
-    assert [report.index for report in reports] == [0, 1, 2, 3]
-    assert all(isinstance(report, ChunkReport) and report.cells == 15 for report in reports)
-    assert all(is_sound(url, layout(spec, plan.chunk_shape), chunk) for chunk in plan)
-
-
-def test_a_task_that_fails_says_why(executor, planned, tmp_path):
-    spec, plan, _ = planned
-    nowhere = str(tmp_path / "nowhere.zarr")
-    with pytest.raises(store.StoreMissing, match="no store here"):
-        executor.submit(spec, plan[0], nowhere).result(PATIENCE)
-
-
-def test_a_cancelled_store_stops_its_tasks(executor, planned):
-    spec, plan, url = planned
-    store.set_cancelled(url)
-    with pytest.raises(ChunkCancelled):
-        executor.submit(spec, plan[0], url).result(PATIENCE)
-    store.clear_cancelled(url)
-    executor.submit(spec, plan[0], url).result(PATIENCE)
 
 
 def test_the_cluster_listens_on_loopback_only(cluster):
@@ -106,17 +63,14 @@ def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path, dropped):
 
 def test_workers_that_dask_has_dropped_are_replaced():
     """It drops one that is not back 15 s after it died: here 100 ms."""
-    executor = Dask(workers=2, kernel_cache=CACHE)
-    client, nannies = executor._connection.client, executor._target.cluster.workers
-    try:
+    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
+        client, nannies = executor._connection.client, executor._target.cluster.workers
         before = set(nannies.values())
         with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
             [pid, _] = client.run(os.getpid).values()
             os.kill(pid, signal.SIGKILL)
             wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
-    finally:
-        executor.close()
 
 
 def test_a_scheduler_that_would_judge_deaths_itself_is_told_how_to_start(caplog):

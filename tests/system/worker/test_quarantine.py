@@ -2,22 +2,22 @@
 
 import errno
 import socket
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+from chunks import planned
 from harm import leave
 from paths import CACHE
 from scripted import costing, wait_for
 from served import running
 
 from service.ledger.model import JobState
-from worker import store, watchdog
+from worker import watchdog
 from worker.executors.base import WorkerLeft
 from worker.executors.dask import Dask
 from worker.kernel_cache import use_cache
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
 
 PATIENCE = 240.0
 
@@ -33,8 +33,7 @@ def break_disk() -> None:
 
 def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     use_cache(CACHE)
-    executor = Dask(workers=2, kernel_cache=CACHE)
-    try:
+    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         client = executor._connection.client
         bad = sorted(client.scheduler_info()["workers"])[0]
@@ -47,19 +46,15 @@ def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogC
         failures = [message for message in caplog.messages if "Input/output error" in message]
         assert all(f"worker {bad} on {socket.gethostname()}" in message for message in failures)
         assert 1 <= len(failures) <= ended.chunks_total
-    finally:
-        executor.close()
 
 
 def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
     use_cache(CACHE)
-    executor = Dask(workers=2, kernel_cache=CACHE)
-    try:
+    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         first, second = sorted(executor._connection.client.scheduler_info()["workers"])
         spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")
-        plan = make_plan(spec)
-        store.create(url, layout(spec, plan.chunk_shape))
+        plan = planned(url, spec)
         executor._roster.failed((url, 0), first)
         executor._connection.client.run(leave, workers=[second], on_error="ignore")
         futures = [executor.submit(spec, plan[0], url)]
@@ -74,5 +69,3 @@ def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
 
         wait_for(computed, seconds=PATIENCE)
         assert futures[-1].result().index == 0
-    finally:
-        executor.close()

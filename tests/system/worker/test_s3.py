@@ -8,6 +8,7 @@ from typing import Any
 
 import httpx2
 import pytest
+from chunks import planned
 from extras import SYSTEM
 from fastapi.testclient import TestClient
 from pyarrow import parquet
@@ -23,8 +24,6 @@ from worker.studies import run_task
 from worker.study import ChunkOptions
 from worker.study.chunks import with_options
 from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
 
 ThreadedMotoServer = pytest.importorskip("moto.server", reason=SYSTEM).ThreadedMotoServer
 
@@ -108,8 +107,7 @@ class Counting:
 def test_a_chunk_is_stored_with_few_requests(bucket: str, monkeypatch: pytest.MonkeyPatch):
     """One for each array; what the chunks before it have asked is not asked again."""
     spec, url = SweepSpec(**RAMP | {"protocol": {"kind": "rest"}}), f"{BUCKET_URL}/few.zarr"
-    plan = make_plan(spec, chunk_shape=(1, 1, 4))
-    store.create(url, layout(spec, plan.chunk_shape))
+    plan = planned(url, spec, (1, 1, 4))
     real = backend._bucket
     counting = Counting(real(url))
     monkeypatch.setattr(backend, "_bucket", lambda address: counting if address == url else real(address))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kernel_runs import assert_same_bytes
+from kernel_runs import assert_same_bytes, part
 from paths import GOLDEN
 from tables import for_each
 
@@ -40,6 +40,11 @@ LATER = 5040
 FOLD = 0.553244593
 
 
+def plate_at(plate: str, cells: Any) -> Any:
+    fields = PLATES[plate]
+    return type(fields)(*(x[cells] if isinstance(x, np.ndarray) else x for x in fields))
+
+
 def line_of(plate: str, **options: Any) -> Line:
     fields: dict[str, Any] = {"carry": False, **CERTIFY, **options}
     return run_line(GAMMA, OMEGA, XI, plate=PLATES[plate], **fields)
@@ -49,7 +54,7 @@ def line_of(plate: str, **options: Any) -> Line:
 def test_a_motion_that_still_grows_on_the_plate_is_not_at_rest(plate: str):
     """Near resonance at low damping: 13 % and 3 % above Eq. 25, and below it."""
     cells: Any = ([0.0045, 0.00041, 0.0039], np.ones(3), [1e-3, 1e-4, 1e-3])
-    few = type(PLATES[plate])(*(x if isinstance(x, bool) else x[:3] for x in PLATES[plate]))
+    few = plate_at(plate, slice(3))
     line = run_line(*map(np.array, cells), plate=few, carry=False, **CERTIFY)
     assert line.outcome.tolist() == [Outcome.PERIODIC, Outcome.SETTLING, Outcome.AT_REST]
     fixed = run_line(*map(np.array, cells), plate=few, carry=False, **WINDOW)
@@ -60,7 +65,7 @@ def test_a_motion_that_still_grows_on_the_plate_is_not_at_rest(plate: str):
 def test_hops_that_die_out_below_eq_25_end_at_rest(plate: str):
     """At low damping they outlive the window: 5 %, 0.4 % and 1.2 % below."""
     cells: Any = ([5.585, 3.495, 0.6047], [1.5867, 1.2794, 1.111], [7.86e-4, 1.417e-3, 8.09e-4])
-    few = type(PLATES[plate])(*(x if isinstance(x, bool) else x[:3] for x in PLATES[plate]))
+    few = plate_at(plate, slice(3))
     line = run_line(*map(np.array, cells), plate=few, carry=False, **{**CERTIFY, "settle_until": 5000})
     assert line.outcome.tolist() == [Outcome.AT_REST] * 3
 
@@ -164,15 +169,11 @@ def test_a_cell_has_the_same_bytes_alone_and_among_others(plate: str):
     line = line_of(plate)
     for i in range(0, N, 7):
         one = slice(i, i + 1)
-        fields = (x[one] if isinstance(x, np.ndarray) else x for x in PLATES[plate])
-        run = LineRun(
-            np.concatenate([GAMMA[one]] * 5), np.concatenate([OMEGA[one]] * 5), np.concatenate([XI[one]] * 5),
-            plate=type(PLATES[plate])(*(np.repeat(x, 5) if isinstance(x, np.ndarray) else x for x in fields)),
-            carry=False, **CERTIFY,
-        )  # fmt: skip
+        five = [i] * 5
+        run = LineRun(GAMMA[five], OMEGA[five], XI[five], plate=plate_at(plate, five), carry=False, **CERTIFY)
         run.advance()
         for k in range(5):
-            assert_same_bytes(Line(*(x[k : k + 1] for x in run.line)), Line(*(x[one] for x in line)))
+            assert_same_bytes(part(run.line, slice(k, k + 1)), part(line, one))
 
 
 @for_each("plate", ["rigid", "soft, adhesive", "ball"])
@@ -181,17 +182,10 @@ def test_a_ramp_goes_on_from_the_cycle(plate: str):
     start = None
     for i in range(N):
         one = slice(i, i + 1)
-        fields = (x[one] if isinstance(x, np.ndarray) else x for x in PLATES[plate])
         cell = run_line(
-            GAMMA[one],
-            OMEGA[one],
-            XI[one],
-            plate=type(PLATES[plate])(*fields),
-            carry=True,
-            start=start,
-            **CERTIFY,
+            GAMMA[one], OMEGA[one], XI[one], plate=plate_at(plate, one), carry=True, start=start, **CERTIFY
         )
-        assert_same_bytes(cell, Line(*(x[one] for x in line)))
+        assert_same_bytes(cell, part(line, one))
         start = Start(cell.end_state[0], Cell(GAMMA[i], OMEGA[i], XI[i]))
 
 

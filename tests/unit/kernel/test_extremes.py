@@ -9,7 +9,7 @@ import pytest
 from extremes import CELLS, CONTACTS, check_phase, resonant, settings_of
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Model, compile_models, examples, phases, recorded, run, run_setting
+from kernel_runs import TWO_PI, Model, compile_models, examples, phases, powers, recorded, run, run_setting
 from naive import Setting
 from plates import HARD_CONTACTS
 from tables import for_each
@@ -50,10 +50,6 @@ def test_extreme_cells_end_with_an_outcome_in_time(cell, contact):
     check_line(line, 4)
     if s.restitution < 1.0 and not resonant(s):
         assert line.outcome[0] != Outcome.UNRESOLVED
-
-
-def powers(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(low, high).map(lambda x: 10.0**x)
 
 
 @st.composite

@@ -12,7 +12,6 @@ from tables import for_each
 
 from kernel.modes import find_cycle
 from kernel.params import Outcome
-from kernel.threshold import threshold
 
 
 def find(times: np.ndarray, takeoffs: np.ndarray) -> tuple[int, int]:
@@ -73,14 +72,6 @@ def test_the_kernel_finds_what_the_definition_says(flights, waits, times, noise,
         flown[broken] += 0.01
     flown, takeoffs = flown[lost:], takeoffs[lost:]
     assert find(flown, takeoffs) == cycle(list(flown), list(takeoffs))
-
-
-def test_outcomes():
-    below = 0.9 * float(threshold(0.5, 0.26))
-    line = run([below, 1.5, 5.0], 0.5, 0.26, settle=300, observe=60)
-    assert list(line.outcome) == [Outcome.AT_REST, Outcome.PERIODIC, Outcome.APERIODIC]
-    assert list(line.flights > 0) == [False, True, True]
-    assert list(line.bounces) == [0, 1, 0]
 
 
 def test_a_cell_that_only_takes_off_or_lands_in_the_window_is_not_at_rest():

@@ -8,8 +8,7 @@ import pytest
 from kernel_runs import Model, assert_same_bytes, recorded, run
 from tables import for_each
 
-from kernel.params import STATE_FIELDS, Cell, Line, Outcome, Start
-from kernel.threshold import threshold
+from kernel.params import STATE_FIELDS, Cell, Line, Start
 
 MODELS = [
     pytest.param(Model.RIGID, {}, id="rigid"),
@@ -89,17 +88,6 @@ def test_windows_of_one_cell_join_to_one_run(model, contact):
             position += 1
         position += 1
     assert len(times) - len(joined) <= 9
-
-
-def test_down_follows_up_into_hysteresis():
-    """The protocol `both` (docs/model.md, section 4): going down it bounces where going up it did not."""
-    up = np.linspace(0.5, 1.0, 51)
-    gamma = np.concatenate([up, up[::-1]])
-    line = run(gamma, 0.6, 0.05, settle=60, observe=40, carry=True)
-    bounces = line.outcome != Outcome.AT_REST
-    lowest_up, lowest_down = up[bounces[:51]].min(), up[::-1][bounces[51:]].min()
-    assert lowest_up == pytest.approx(float(threshold(0.6, 0.05)), abs=0.011)
-    assert lowest_down < lowest_up - 0.1
 
 
 @for_each(("model", "contact"), MODELS)

@@ -23,17 +23,8 @@ PLATES = {
 
 def run(plate: Any, micro_flight: float) -> Line:
     """From rest, with room for all flights that the kernel itself looks at."""
-    return run_line(
-        GAMMA,
-        OMEGA,
-        XI,
-        plate=plate,
-        carry=False,
-        settle=200,
-        observe=60,
-        keep=512,
-        micro_flight=micro_flight,
-    )
+    window = {"settle": 200, "observe": 60, "keep": 512, "micro_flight": micro_flight}
+    return run_line(GAMMA, OMEGA, XI, plate=plate, carry=False, **window)
 
 
 def modes(line: Line) -> Modes:

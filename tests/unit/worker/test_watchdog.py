@@ -9,13 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from chunks import planned
 from distributed import Client, LocalCluster
 from scripted import DEADLINE, wait_for
 
 from worker import store, watchdog
 from worker.study import ChunkCancelled
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
 from worker.watchdog import TOPIC, Watchdog, run_watched
 
 LIMIT = 1000 << 20
@@ -104,8 +103,7 @@ class Watched:
     """Runs the first chunk of a small sweep as a worker does."""
 
     def __init__(self, client: Client, url: str, spec: Any) -> None:
-        self._client, self.url, self.spec, self.plan = client, url, spec, make_plan(spec)
-        store.create(url, layout(spec, self.plan.chunk_shape))
+        self._client, self.url, self.spec, self.plan = client, url, spec, planned(url, spec)
         self.begun = {"key": f"{url}-0", "worker": next(iter(client.scheduler_info()["workers"]))}
 
     def __call__(self, seconds: float = 100.0) -> Any:

@@ -19,6 +19,12 @@ def gammas(events, kind):
     return [event.point.parameter for event in events if event.kind is kind]
 
 
+def first_flip(plate):
+    """That of (1,1) at Omega = 0.5, xi = 0.26."""
+    (flip,) = (e for e in branches(plate, 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP)
+    return flip.point
+
+
 @pytest.mark.parametrize(
     ("plate", "flip"),
     [
@@ -30,24 +36,24 @@ def gammas(events, kind):
 )
 def test_a_doubled_cycle_doubles_again(plate, flip):
     """From the flip of (1,1) at Omega = 0.5, xi = 0.26, 5,000 simulated periods within 1e-12 of it."""
-    (first,) = (e for e in branches(plate, 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP)
-    start = doubled(first.point)
+    start = doubled(first_flip(plate))
     assert start.cycles.periods == 2
     _, events = follow(start, 1.0, span=(1.0, 2.6))
     assert gammas(events, Kind.FLIP) == pytest.approx([flip], abs=1e-9)
 
 
-def test_four_flights_double_and_lose_one():
-    """The (4,4) of Fig. 2, from the first flip of (2,2): its own flips, and where a flight vanishes."""
-    expected = next(w for w in REFERENCE["words"] if w["mode"] == [4, 4])
-    (first,) = (
-        e for e in branches(rigid(0.0), 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP
-    )
-    _, events = follow(doubled(first.point), 1.0, span=(1.0, 2.6))
-    (second,) = (event for event in events if event.kind is Kind.FLIP)
-    _, events = follow(doubled(second.point), 1.0, span=(1.0, 4.0))
-    assert gammas(events, Kind.FLIP)[: len(expected["flip"])] == pytest.approx(expected["flip"], abs=1e-9)
-    assert min(np.abs(np.array(gammas(events, Kind.GRAZE_CONTACT)) - expected["flight_vanishes"])) < 1e-6
+def test_the_doubled_cycles_of_figure_2():
+    """The (2,2) has two flips and ends in one flight again; from the first begins (4,4), which loses one."""
+    two, four = (next(w for w in REFERENCE["words"] if w["mode"] == mode) for mode in ([2, 2], [4, 4]))
+    line, events = follow(doubled(first_flip(rigid(0.0))), 1.0, span=(1.0, 4.0))
+    flips = [event.point for event in events if event.kind is Kind.FLIP]
+    assert gammas(events, Kind.FLIP)[:2] == pytest.approx(two["flip"], abs=1e-8)
+    change = next(event for event in events if event.kind is Kind.GRAZE_CONTACT)
+    assert (len(change.letters), change.point.letters) == (2, "Ss")
+    assert line[-1].cycles.periods == 2
+    _, events = follow(doubled(flips[0]), 1.0, span=(1.0, 4.0))
+    assert gammas(events, Kind.FLIP)[: len(four["flip"])] == pytest.approx(four["flip"], abs=1e-9)
+    assert min(np.abs(np.array(gammas(events, Kind.GRAZE_CONTACT)) - four["flight_vanishes"])) < 1e-6
 
 
 def test_a_torus_out_of_a_landing_that_takes_off_at_once():
@@ -69,16 +75,3 @@ def test_a_landing_that_takes_off_at_once():
     changes = [event for event in events if event.kind is Kind.IMMEDIATE_TAKEOFF]
     assert min(abs(e.point.parameter - begins[0]) for e in changes) < 1e-10
     assert min(np.abs(np.array(gammas(events, Kind.FOLD)) - expected["fold"])) < 1e-9
-
-
-def test_a_doubled_cycle_ends_where_its_second_flight_vanishes():
-    """The (2,2) of Fig. 2: two flips, then one flight again."""
-    word = next(w for w in REFERENCE["words"] if w["word"] == "ss" and w["mode"] == [2, 2])
-    (first,) = (
-        e for e in branches(rigid(0.0), 0.5, 0.26, 1, span=(0.5, 3.0))[0].events if e.kind is Kind.FLIP
-    )
-    line, events = follow(doubled(first.point), 1.0, span=(1.0, 4.0))
-    assert gammas(events, Kind.FLIP)[:2] == pytest.approx(word["flip"], abs=1e-8)
-    change = next(event for event in events if event.kind is Kind.GRAZE_CONTACT)
-    assert (len(change.letters), change.point.letters) == (2, "Ss")
-    assert line[-1].cycles.periods == 2

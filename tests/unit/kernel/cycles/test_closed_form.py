@@ -1,11 +1,10 @@
-"""The closed form of (1,k) branches: reference numbers, a naive solution, and the simulating kernel."""
+"""The closed form of (1,k) branches: reference numbers and a naive solution."""
 
 import json
 import math
 
 import numpy as np
 import pytest
-from kernel_runs import run
 from paths import GOLDEN
 from tables import for_each
 
@@ -14,7 +13,7 @@ from kernel.cycles.closed_form import floquet, gamma_and_slope, orbit
 from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, branch, branch_and_events, flight_times
 from kernel.cycles.spring import spring
-from kernel.params import Cell, KernelInputError, Start
+from kernel.params import KernelInputError
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 TWO_PI = 2.0 * math.pi
@@ -135,39 +134,6 @@ def test_refuses_what_has_no_branch(omega, xi, periods, argument):
     with pytest.raises(KernelInputError) as refusal:
         branch_and_events(omega, xi, periods)
     assert refusal.value.argument == argument
-
-
-def random_points(stable: bool, count: int) -> list[tuple[float, float, int, dict[str, float]]]:
-    """Admissible points of branches of random springs, below Gamma = 8."""
-    rng = np.random.default_rng(12)
-    found = []
-    while len(found) < count:
-        omega, xi = float(rng.uniform(0.25, 2.0)), float(10.0 ** rng.uniform(-2.0, 0.3))
-        periods = int(rng.integers(1, 3))
-        line = branch(omega, xi, periods, rng.uniform(0.3, TWO_PI * periods - 0.3, 40))
-        good = (line.violations == 0) & (line.stable == stable) & (line.gamma < 8.0)
-        for i in np.flatnonzero(good)[:4]:
-            point = {n: np.asarray(v)[i] for n, v in line._asdict().items() if np.ndim(v)}
-            found.append((omega, xi, periods, point))
-    return found[:count]
-
-
-def flights_from(omega, xi, periods, point, cycles, displaced=0.0):
-    """The first flights of a spring that starts at the landing of an orbit, its elongation displaced."""
-    x = orbit(spring(omega, xi), periods, np.array([point["flight_time"]]))
-    gamma = point["gamma"]
-    phase = (point["takeoff_phase"] + point["flight_time"]) % TWO_PI
-    state = np.array([phase, 0.0, 0.0, 0.0, x.q_land[0] / gamma + displaced, x.v_land[0] / gamma])
-    start = Start(state, Cell(gamma, omega, xi))
-    line = run(gamma, omega, xi, carry=True, start=start, settle=0, observe=(cycles + 1) * periods, keep=64)
-    return line.flight_time[0, :cycles], line.takeoff_phase[0, :cycles]
-
-
-def test_stable_orbits_return_in_the_simulation():
-    for omega, xi, periods, point in random_points(stable=True, count=200):
-        time, phase = flights_from(omega, xi, periods, point, 1)
-        assert time[0] == pytest.approx(point["flight_time"], abs=1e-9)
-        assert abs((phase[0] - point["takeoff_phase"] + math.pi) % TWO_PI - math.pi) < 1e-9
 
 
 def test_reasons():

@@ -7,12 +7,11 @@ there are found by Newton's method with differences, and Gamma has its extremum 
 import numpy as np
 import pytest
 from contacts import rigid, soft
-from kernel_runs import run
-from plates import Model
 
 from kernel.cycles.any_contact import branches
 from kernel.cycles.cycles import kernels_round
 from kernel.cycles.events import Kind
+from kernel.line import run_line
 from kernel.params import Cell, Start
 
 #: Of the differences, and of the gap on either side of a fold.
@@ -21,14 +20,11 @@ STEP, ASIDE = 1e-6, 3e-4
 
 def one_period(plate, gamma, start):
     """The state (6,) a plate period after `start` (phase, gap, gap', q, q')."""
-    which = Model.SOFT if hasattr(plate, "penetration") else Model.RIGID
-    contact = {"restitution": plate.restitution[0]}
-    if which is Model.SOFT:
-        contact |= {"penetration": plate.penetration[0], "adhesive": plate.adhesive}
     phase, *state = start
-    begin = Start(np.array([phase, float(state[0] > 0.0), *state]), Cell(gamma, 0.60, 0.05))
-    window = {"settle": 0, "observe": 1, "carry": True, "start": begin}
-    return run(gamma, 0.60, 0.05, which, **contact, **window).end_state[0]
+    cell = Cell(gamma, 0.60, 0.05)
+    begin = Start(np.array([phase, float(state[0] > 0.0), *state]), cell)
+    window = {"settle": 0, "observe": 1, "keep": 1, "carry": True, "start": begin}
+    return run_line(*np.array(cell)[:, None], plate=plate, **window).end_state[0]
 
 
 def in_flight_at_phase_zero(point):

@@ -8,7 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Model, constants, examples, last_cycle, phases, recorded, run, run_setting
+from kernel_runs import (
+    TWO_PI,
+    Model,
+    constants,
+    examples,
+    last_cycle,
+    phases,
+    powers,
+    recorded,
+    run,
+    run_setting,
+)
 from mpmath import mp, mpf
 from naive import Setting, bounce, trajectory
 from naive_exact import pressed
@@ -111,12 +122,12 @@ def coefficients(s: Setting) -> tuple[float, float, float, float]:
 
 
 WIDE = {
-    "omega": st.floats(-3.0, 3.0).map(lambda x: 10.0**x),
+    "omega": powers(-3.0, 3.0),
     "xi": st.one_of(
         st.sampled_from([0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, 1.0 - 1e-12]),
-        st.floats(-3.0, 3.0).map(lambda x: 10.0**x),
+        powers(-3.0, 3.0),
     ),
-    "penetration": st.floats(-8.0, -1.0).map(lambda x: 10.0**x),
+    "penetration": powers(-8.0, -1.0),
     "restitution": st.one_of(st.sampled_from([0.0, 1.0, 0.01]), st.floats(1e-6, 1.0)),
     "adhesive": st.booleans(),
 }

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import TWO_PI, Model, compile_models, examples, phases, recorded, run
+from kernel_runs import TWO_PI, Model, compile_models, examples, phases, powers, recorded, run
 from naive import Setting
 from naive_ball import Fall, trajectory
 from naive_steps import Stepper
@@ -32,10 +32,6 @@ ENDED = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST, Outcome.SETTLING)
 def compiled():
     """Compile before the first test: these tests bound the time of a run."""
     compile_models()
-
-
-def powers(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(low, high).map(lambda x: 10.0**x)
 
 
 GAMMA = st.one_of(st.sampled_from([1.0, 1.0 + 1e-12, 2.0, math.hypot(1.0, math.pi)]), powers(-3.0, 2.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from kernel_runs import Step, examples, one_phase
+from kernel_runs import Step, examples, one_phase, powers
 from mpmath import mp, mpf
 from naive import Setting
 from naive_exact import Exact, exact, instants, lowest, response
@@ -17,10 +17,6 @@ from kernel.numerics.first_root import HORIZON, ROOT, safe_step
 
 HORIZON_RAD = 4.0 * math.pi
 BUDGET = 20_000
-
-
-def powers(low: float, high: float) -> st.SearchStrategy[float]:
-    return st.floats(low, high).map(lambda x: 10.0**x)
 
 
 def signed(largest: float) -> st.SearchStrategy[float]:

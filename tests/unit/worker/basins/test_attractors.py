@@ -28,7 +28,7 @@ SPEC = BasinSpec(
     observe=20,
     settle_until=1200,
     keep=8,
-)  # fmt: skip
+)
 
 
 class Seen(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 import paths
 import pytest
 import xarray
+from chunks import computed, cut_finely, planned
 from tables import for_each
 
 from kernel.line import LineRun
@@ -23,12 +24,9 @@ from worker.basins.specification import BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
-from worker.studies import STUDIES
 from worker.study import ChunkOptions, ChunkPaused
 from worker.study.chunks import with_options
 from worker.study.layout import empty_record
-
-BASINS = STUDIES["basin"]
 
 GOLDEN = json.loads((paths.GOLDEN / "basins.json").read_text())
 
@@ -42,15 +40,6 @@ def basin(**fields: Any) -> BasinSpec:
     """A specification like SPEC with some fields of the protocol, or others, changed."""
     protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
     return BasinSpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
-
-
-def computed(url: str, spec: BasinSpec, chunk_shape: tuple[int, ...] | None = None) -> xarray.Dataset:
-    plan = BASINS.plan(spec, chunk_shape)
-    store.create(url, BASINS.variables(spec, plan.chunk_shape))
-    for chunk in plan:
-        report = run_chunk(spec, chunk, url)
-        assert sum(report.outcomes) == report.cells == chunk.cells
-    return xarray.open_zarr(url, chunks=None).load()
 
 
 def search(
@@ -97,12 +86,6 @@ def test_fractions_and_entropies_are_those_of_the_reference(tmp_path: Path, refe
     for name in ("basin_entropy", "boundary_entropy"):
         if reference[name] is not None:
             assert float(stored[name]) == pytest.approx(reference[name], abs=1e-6)
-
-
-def test_three_cycles_of_one_mode_are_three_attractors():
-    found = search(1.0, 0.34, 0.05, settle=1500)
-    assert told(found) == [(Outcome.PERIODIC, 1, 1)] * 3
-    assert [round(a.longest_flight, 3) for a in found.attractors] == [5.179, 1.054, 2.905]
 
 
 def test_a_start_that_diverges_belongs_to_no_attractor():
@@ -199,14 +182,11 @@ def test_cells_in_one_chunk_or_in_many_are_the_same_bytes(tmp_path: Path, whole:
 def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: dict[str, bytes]
 ):
-    monkeypatch.setattr(work, "FIRST_STEPS", 65_537)
-    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)
-    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
+    cut_finely(monkeypatch, 65_537)
     looks = itertools.count()
     monkeypatch.setattr(work.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
     spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
-    plan = BASINS.plan(spec, (2, 1, 3))
-    store.create(url, BASINS.variables(spec, plan.chunk_shape))
+    plan = planned(url, spec, (2, 1, 3))
     done: list[int] = []
     for attempt in itertools.count():
         assert attempt < 5000
@@ -228,17 +208,9 @@ def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
 
 def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided():
     spec = basin(rows=6, columns=6, keep=2)
+    window = {"flight_time": np.zeros(2), "takeoff_phase": np.zeros(2)}
     attractors = tuple(
-        Attractor(
-            Outcome.PERIODIC,
-            i + 1,
-            1,
-            np.array([1.0 + i]),
-            np.empty(0),
-            np.zeros(6),
-            flight_time=np.zeros(2),
-            takeoff_phase=np.zeros(2),
-        )
+        Attractor(Outcome.PERIODIC, i + 1, 1, np.array([1.0 + i]), np.empty(0), np.zeros(6), **window)
         for i in range(MAX_ATTRACTORS + 2)
     )
     found = Found(np.arange(36, dtype=np.uint16), attractors)

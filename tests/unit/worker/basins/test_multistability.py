@@ -7,18 +7,14 @@ from typing import Any
 import numpy as np
 import paths
 import pytest
-import xarray
+from chunks import computed
 from studies import spec_of
 
 from kernel.cycles.events import Kind, fold_events
 from kernel.params import Outcome
-from worker import store
-from worker.basins.multistability import run_chunk
 from worker.basins.specification import MultistabilitySpec
 from worker.spec.errors import SpecError
 from worker.studies import STUDIES
-
-MULTISTABILITY = STUDIES["multistability"]
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
@@ -28,17 +24,6 @@ SPEC = spec_of([3.4, 3.6, 3.8], [0.5, 0.52], 0.26, protocol={"kind": "multistabi
 def multistability(**fields: Any) -> MultistabilitySpec:
     protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
     return MultistabilitySpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
-
-
-def computed(
-    url: str, spec: MultistabilitySpec, chunk_shape: tuple[int, ...] | None = None
-) -> xarray.Dataset:
-    plan = MULTISTABILITY.plan(spec, chunk_shape)
-    store.create(url, MULTISTABILITY.variables(spec, plan.chunk_shape))
-    for chunk in plan:
-        report = run_chunk(spec, chunk, url)
-        assert sum(report.outcomes) == report.cells == chunk.cells
-    return xarray.open_zarr(url, chunks=None).load()
 
 
 @pytest.mark.parametrize("reference", GOLDEN["maps"], ids=lambda reference: f"xi {reference['xi']}")
@@ -51,29 +36,6 @@ def test_shares_of_cells_with_several_attractors(tmp_path: Path, reference: dict
     rows = ["".join(map(str, row)) for row in data.attractor_count.values]
     assert rows == reference["counts"]
     assert float((data.fraction.sum("id") + data.undecided).max()) == pytest.approx(1.0)
-
-
-def test_two_attractors_are_followed_where_a_ramp_has_hysteresis(tmp_path: Path):
-    """Fig. 2 of the paper: (3,4) and (1,2) at gamma 3.6. The former grazes: its mode changes along gamma."""
-    gamma = [3.56, 3.58, 3.6, 3.62, 3.64]
-    data = computed(str(tmp_path / "a.zarr"), multistability(gamma=gamma, omega=0.5))
-    line = data.isel(xi=0, omega=0)
-    modes: dict[int, list[tuple[int, int]]] = {0: [], 1: []}
-    at = {0: 0, 1: 1}
-    for j in range(len(gamma)):
-        cell = line.isel(gamma=j)
-        assert int(cell.attractor_count) == 2
-        for branch, k in at.items():
-            modes[branch].append((int(cell.bounces[k]), int(cell.periods[k])))
-            assert float(cell.fraction[k]) > 0.3
-            reached = int(cell.next_up[k]) - 1
-            if j + 1 < len(gamma):
-                assert int(line.next_down[j + 1, reached]) == k + 1
-                at[branch] = reached
-            else:
-                assert int(cell.next_up[k]) == -1
-    assert modes == {0: [(0, 0), (3, 4), (3, 4), (4, 4), (2, 2)], 1: [(1, 2)] * 5}
-    assert (line.next_down[0, :2] == -1).all()
 
 
 def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
@@ -166,4 +128,4 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
 
 def test_lines_along_gamma_are_not_cut():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
-        MULTISTABILITY.plan(multistability(), (1, 1, 2))
+        STUDIES["multistability"].plan(multistability(), (1, 1, 2))

@@ -98,25 +98,6 @@ def test_a_cluster_whose_scheduler_does_not_answer_several_times_in_a_row_is_mad
     assert made[1].closed == 0
 
 
-def test_a_failure_is_told_until_the_next_try(now: list[float]):
-    results: list[Any] = [RuntimeError("the queue is closed"), Cluster()]
-
-    def make() -> Cluster:
-        result = results.pop(0)
-        if isinstance(result, Exception):
-            raise result
-        return result
-
-    target = CreatedCluster(make, "mine")
-    with pytest.raises(ClusterLost, match=r"^no cluster from mine: RuntimeError: the queue is closed$"):
-        target.find()
-    now[0] += 4.0
-    with pytest.raises(ClusterLost, match=r": RuntimeError: the queue is closed; made again in 6 s$"):
-        target.find()
-    now[0] += 6.0
-    assert isinstance(target.find(), Cluster)
-
-
 def test_a_function_that_returns_no_cluster_is_told_so():
     target = CreatedCluster(lambda: None, "mine")
     with pytest.raises(ClusterLost, match="no cluster from mine: TypeError: it returns no Dask cluster, but"):

@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chunks import compute, cut_finely, planned, run_in_slices
 from stores import files
 from studies import spec_of
 from tables import for_each
 
 from kernel.params import Outcome
-from worker import store, work
+from worker import store
 from worker.maps.plan import estimate, make_plan, tile_shape
 from worker.maps.refinement import Tile, classes
 from worker.spec.errors import SpecInvalid, SpecTooLarge
 from worker.spec.refine import MAX_COARSEST, Refine
-from worker.studies import run_task, study_of
-from worker.study import ChunkOptions, ChunkPaused
-from worker.study.chunks import check_size, with_options
+from worker.study.chunks import check_size
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
 
@@ -32,42 +31,35 @@ def sweep(**changes: Any) -> SweepSpec:
     return SweepSpec(**SPACE | changes)
 
 
-def compute(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
-    """The plane of a map, computed chunk by chunk in this process."""
-    plan = study_of(spec).plan(spec, shape)
-    store.create(str(url), schema.layout(spec, plan.chunk_shape))
-    for chunk in plan:
-        run_task(spec, chunk, str(url))
-    return plane(spec, url)
-
-
-def plane(spec: SweepSpec, url: Path) -> dict[str, np.ndarray]:
+def plane(spec: SweepSpec, url: Path, shape: tuple[int, ...] | None = TILE) -> dict[str, np.ndarray]:
+    """The plane of a map, computed here."""
+    compute(url, spec, shape)
     stored = store.read_slice(str(url), [array.name for array in schema.arrays(spec)], complete=True)
     return {name: array[0, 0] for name, array in stored.items()}
 
 
 @pytest.fixture(scope="module")
 def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
-    return compute(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
-
-
-def refined(kinds: np.ndarray, refine: Refine) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a tile are computed, and every cell's source, of a map that bounces `kinds` times."""
-    refinement = Tile(kinds.shape, refine)
-    arrays = np.full(kinds.shape, Outcome.PERIODIC), kinds, np.ones_like(kinds)
-    computed = np.zeros(kinds.shape, np.bool_)
-    while refinement.cells.size:
-        assert not computed.flat[refinement.cells].any(), "computed twice"
-        computed.flat[refinement.cells] = True
-        refinement.split(*arrays)
-    return computed, refinement.sources().reshape(kinds.shape)
+    return plane(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
 
 
 MODE = Refine(by="mode", coarsest=8)
 
 
+def refined(outcome: np.ndarray, bounces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells of a tile are computed, and every cell's source, of cells that bounce once or never."""
+    refinement = Tile(outcome.shape, MODE)
+    arrays = outcome, np.full_like(outcome, bounces), np.full_like(outcome, bounces)
+    computed = np.zeros(outcome.shape, np.bool_)
+    while refinement.cells.size:
+        assert not computed.flat[refinement.cells].any(), "computed twice"
+        computed.flat[refinement.cells] = True
+        refinement.split(*arrays)
+    return computed, refinement.sources().reshape(outcome.shape)
+
+
 def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
-    _, source = refined(np.ones((9, 9), int), MODE)
+    _, source = refined(np.full((9, 9), Outcome.PERIODIC), 1)
     vertices = {(0, 0), (0, 8), (4, 4), (8, 0), (8, 8)}
     for cell in np.ndindex(9, 9):
         taken = tuple(int(i) for i in divmod(source[cell], 9))
@@ -107,73 +99,43 @@ def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, ex
     assert [rounds, hashlib.sha256(sources.tobytes()).hexdigest()[:16]] == expected
 
 
-def outcomes_refined(outcome: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a tile without modes are computed, and every cell's outcome in the map."""
-    tile, none = Tile(outcome.shape, MODE), np.zeros_like(outcome)
-    computed = np.zeros(outcome.shape, np.bool_)
-    while tile.cells.size:
-        computed.flat[tile.cells] = True
-        tile.split(outcome, none, none)
-    return computed, outcome.flat[tile.sources()].reshape(outcome.shape)
-
-
 @pytest.mark.parametrize("without", [Outcome.APERIODIC, Outcome.SETTLING])
 def test_a_block_without_a_mode_is_filled_only_if_nine_samples_agree(without: Outcome):
     outcome = np.full((9, 9), without)
-    computed, _ = outcomes_refined(outcome)
+    computed, _ = refined(outcome, 0)
     nine = np.zeros((9, 9), np.bool_)
     nine[::4, ::4] = True
     assert np.array_equal(computed, nine)
     outcome[2:6, 7:] = Outcome.PERIODIC  # an island that the corners and the centre miss
-    computed, filled = outcomes_refined(outcome)
-    assert np.array_equal(filled, outcome)
-
-
-@pytest.mark.parametrize("other", [Outcome.SETTLING, Outcome.PERIODIC, Outcome.AT_REST])
-def test_aperiodic_cells_do_not_stand_for_any_others(other: Outcome):
-    row, column = np.mgrid[:9, :9]
-    outcome = np.where((row + column) % 3 == 0, other, Outcome.APERIODIC)
-    assert np.array_equal(outcomes_refined(outcome)[1], outcome)
+    _, source = refined(outcome, 0)
+    assert np.array_equal(outcome.flat[source], outcome)
 
 
 @pytest.mark.parametrize("by", ["mode", "bouncing"])
 def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by):
     refine = Refine(by=by, coarsest=8)
-    found = compute(sweep(refine=refine), tmp_path / "a.zarr")
+    found = plane(sweep(refine=refine), tmp_path / "a.zarr")
     computed = found["computed"] == 1
     assert 0.05 < computed.mean() < 0.9
     for name, array in full.items():
         assert array[computed].tobytes() == found[name][computed].tobytes(), name
     assert np.isnan(found["flight_time"][~computed]).all()
     assert not found["flights"][~computed].any()
-    kinds = [classes(refine, *(plane[name] for name in MODE_ARRAYS)) for plane in (full, found)]
+    kinds = [classes(refine, *(cells[name] for name in MODE_ARRAYS)) for cells in (full, found)]
     assert np.mean(kinds[0] != kinds[1]) < (0.015 if by == "mode" else 0.001)
     for outcome in Outcome:
-        shares = [np.mean(plane["outcome"] == outcome) for plane in (full, found)]
+        shares = [np.mean(cells["outcome"] == outcome) for cells in (full, found)]
         assert by == "bouncing" or abs(shares[0] - shares[1]) < 0.01, outcome
 
 
 def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     refine, omega = {"by": "mode", "coarsest": 8}, {"start": 0.35, "stop": 0.7, "num": 20}
     spec = sweep(refine=refine, omega=omega, until=300)
-    compute(spec, tmp_path / "whole.zarr")
-    monkeypatch.setattr(work, "FIRST_STEPS", 16384)
-    monkeypatch.setattr(work, "LOOK_SECONDS", (0.0, 1e9))  # the same parts on any machine
-    monkeypatch.setattr(work, "KEPT_BYTES", 2**60)  # and the same pauses
-    plan, url = make_plan(spec, TILE), tmp_path / "paused.zarr"
-    store.create(str(url), schema.layout(spec, plan.chunk_shape))
-    pauses = 0
-    for chunk in plan:
-        while True:
-            try:
-                with with_options(ChunkOptions(0.0)):
-                    run_task(spec, chunk, str(url))
-            except ChunkPaused:
-                pauses += 1
-                assert pauses < 10_000
-            else:
-                break
-    assert pauses > len(plan)
+    compute(tmp_path / "whole.zarr", spec, TILE)
+    cut_finely(monkeypatch, 16384)
+    url = tmp_path / "paused.zarr"
+    plan = planned(url, spec, TILE)
+    assert sum(run_in_slices(spec, chunk, str(url))[1] for chunk in plan) > len(plan)
     assert files(url) == files(tmp_path / "whole.zarr")
 
 

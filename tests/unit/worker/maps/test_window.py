@@ -34,7 +34,6 @@ def problem(map_: dict[str, Any] | None = None, **fields: Any) -> str:
 
 def test_a_window_keeps_all_but_the_grid():
     found, whole = window(), SweepSpec(**MAP)
-    assert found.parent == JOB
     assert found.name == "Window of sweep 01234567"
     assert window({"name": "modes"}).name == "Window of modes"
     assert window({"name": "m" * 200}).name == "Window of " + "m" * 190
@@ -42,7 +41,6 @@ def test_a_window_keeps_all_but_the_grid():
     assert found.refine.model_dump() == {"by": "mode", "coarsest": 16, "margin": False}
     earlier = EarlierSweep(**MAP | {"xi": 0.125, "settle_until": 600})
     assert Window().of(earlier, JOB).until == 600
-    assert window(by="bouncing").refine.model_dump() == {"by": "bouncing", "coarsest": 64, "margin": False}
 
 
 @for_each(
@@ -71,15 +69,3 @@ def test_a_window_has_a_part_of_the_map(ends: list[float]):
 )
 def test_the_nearest_xi_of_the_map_is_taken(asked: float, given: float):
     assert window(xi=asked).xi == given
-
-
-def test_windows_are_read_from_json():
-    text = '{"gamma": [0.6, 1.1], "xi": 0, "finer": 8.0, "by": "bouncing", "margin": false}'
-    assert Window.from_json(text) == Window(gamma=[0.6, 1.1], xi=0.0, finer=8, by="bouncing")
-    assert Window.from_json("{}") == Window(gamma=None, omega=None, xi=None, finer=4, by="mode")
-    with pytest.raises(SpecInvalid, match=r"^a window must be a group of fields, not a list of 0$"):
-        Window.from_json("[]")
-    with pytest.raises(SpecInvalid, match=r"^coarse: is not a field here; the fields are gamma, omega, xi"):
-        Window.from_json('{"coarse": 3}')
-    with pytest.raises(SpecInvalid, match=r"^gamma: must be two numbers, the smaller first, not 1 and 1$"):
-        Window.from_json('{"gamma": [1, 1]}')

@@ -7,31 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from chunks import computed
 from tables import for_each
 
 from kernel.cycles.events import Kind, branch_and_events
 from kernel.params import Outcome
-from worker import store, studies
+from worker import studies
 from worker.orbits.specification import OrbitsSpec
 from worker.orbits.task import _stored_rows
 from worker.spec.errors import SpecError
-from worker.studies import STUDIES, run_task
-
-ORBITS = STUDIES["orbits"]
 
 SPEC: dict[str, Any] = {
     "protocol": {"kind": "orbits"}, "omega": [0.5, 0.6, 1.0], "xi": [0.0, 0.05], "points": 60, "events": 8,
 }  # fmt: skip
-
-
-def computed(url: str, spec: OrbitsSpec, chunk_shape: tuple[int, int] | None = None) -> xarray.Dataset:
-    plan = ORBITS.plan(spec, chunk_shape)
-    store.create(url, ORBITS.variables(spec, plan.chunk_shape))
-    for chunk in plan:
-        report = run_task(spec, chunk, url)
-        assert sum(report.outcomes) == report.cells == chunk.cells
-        assert 0.0 < report.kernel_seconds < report.seconds < 600.0
-    return xarray.open_zarr(url, chunks=None).load()
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import zarr
+from chunks import planned
 from hypothesis import given
 from hypothesis import strategies as st
 from stores import files
@@ -34,15 +35,13 @@ def spec(small_spec) -> SweepSpec:
 
 
 @pytest.fixture
-def plan(spec) -> Plan:
-    return make_plan(spec, chunk_shape=(1, 2, 4))
+def plan(tmp_path, spec) -> Plan:
+    return planned(tmp_path / "sweep.zarr", spec, (1, 2, 4))
 
 
 @pytest.fixture
-def url(tmp_path, spec, plan) -> str:
-    url = str(tmp_path / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    return url
+def url(tmp_path, plan) -> str:
+    return str(tmp_path / "sweep.zarr")
 
 
 def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndarray]:
@@ -74,8 +73,8 @@ def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
 def test_a_store_of_time_steps_states_their_limit(tmp_path):
     """The longest step of any cell, and the shortest that is unstable in one."""
     spec = SweepSpec(gamma=[1.0, 2.0], omega=[0.1, 3.0], xi=[0.1, 20.0], model={"kind": "stepped"})
-    store.create(str(tmp_path / "sweep.zarr"), layout(spec, make_plan(spec).chunk_shape))
-    steps = store.read_attrs(str(tmp_path / "sweep.zarr"))["time_steps"]
+    planned(tmp_path / "steps.zarr", spec)
+    steps = store.read_attrs(str(tmp_path / "steps.zarr"))["time_steps"]
     assert 0.0 < steps["longest_step"] < steps["stable_below"]
 
 
@@ -90,9 +89,8 @@ def test_another_sweep_or_another_cut_is_not_overwritten(url, spec, small_spec, 
 def full(tmp_path_factory, small_spec) -> tuple[str, dict[str, np.ndarray]]:
     """A store with every chunk written, and all of it as zarr reads it."""
     spec = small_spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
-    plan, url = make_plan(spec, chunk_shape=(2, 2, 4)), str(tmp_path_factory.mktemp("full") / "sweep.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    for chunk in plan:
+    url = str(tmp_path_factory.mktemp("full") / "sweep.zarr")
+    for chunk in planned(url, spec, (2, 2, 4)):
         store.write_chunk(url, chunk, record_of(spec, chunk))
     with xr.open_zarr(url) as dataset:
         return url, {name: dataset[name].values for name in ("end_state", "bounces")}
@@ -113,16 +111,6 @@ def test_any_part_reads_as_zarr_reads_it(full, where):
     for name, array in store.read_slice(url, list(whole), **axes).items():
         np.testing.assert_array_equal(array, whole[name][where])
         assert array.dtype == whole[name].dtype
-
-
-def test_what_a_chunk_without_outcomes_holds_is_not_read(url, spec, plan):
-    """Its writer is not done: outcomes come last."""
-    store.write_chunk(url, plan[0], record_of(spec, plan[0]))
-    (Path(url) / "outcome" / "c.0.0.0.0").unlink()
-    cells = store.read_chunk(url, plan[0], ["outcome", "flights", "flight_time"])
-    assert not cells["outcome"].any()
-    assert not cells["flights"].any()
-    assert np.isnan(cells["flight_time"]).all()
 
 
 def test_chunk_of_fill_values_is_written_all_the_same(url, spec, plan):
@@ -166,8 +154,8 @@ def delete(path: Path, seed: int) -> None:
 
 
 def test_of_a_complete_store_every_file_must_be_there(url, spec, plan):
-    """And where there are outcomes, every other file."""
-    names = ["flights", "outcome"]
+    """And where there are outcomes, every other file: they come last, so without them nothing is read."""
+    names = ["flights", "flight_time", "outcome"]
     for chunk in plan[:2]:
         store.write_chunk(url, chunk, record_of(spec, chunk))
     Path(url, "outcome", "c.0.0.0.0").unlink()
@@ -178,7 +166,10 @@ def test_of_a_complete_store_every_file_must_be_there(url, spec, plan):
     ):
         with pytest.raises(store.StoreDamaged, match=rf"{re.escape(missing)}: is missing$"):
             store.read_chunk(url, chunk, names, complete=complete)
-    assert not store.read_chunk(url, plan[0], names)["outcome"].any()
+    cells = store.read_chunk(url, plan[0], names)
+    assert not cells["outcome"].any()
+    assert not cells["flights"].any()
+    assert np.isnan(cells["flight_time"]).all()
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b'{"consolidated_metadata": 3}'])
@@ -255,8 +246,8 @@ def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     """A store whose larger arrays have shards of 2 × 2 × 2 inner chunks."""
     for name, size in (("WHOLE_BYTES", 1000), ("INNER_BYTES", 300), ("ALIKE_WHOLE_BYTES", 2000)):
         monkeypatch.setattr(cutting, name, size)
-    plan, url = make_plan(spec, chunk_shape=(2, 2, 8)), str(tmp_path / "sharded.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
+    url = str(tmp_path / "sharded.zarr")
+    plan = planned(url, spec, (2, 2, 8))
     for chunk in plan:
         store.write_chunk(url, chunk, record_of(spec, chunk))
     return url, plan

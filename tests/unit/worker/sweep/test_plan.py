@@ -5,10 +5,11 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from studies import spec_of
 
 import kernel.line  # noqa: F401 - registers the models' lanes
 from worker.spec.errors import SpecTooLarge
-from worker.study import Chunk, Cost, Plan
+from worker.study import Chunk, Plan
 from worker.study.chunks import check_size
 from worker.study.layout import INNER_BYTES
 from worker.sweep import AXES, SweepSpec, schema
@@ -34,33 +35,22 @@ def sweep(xi=1, omega=1, gamma=1, ramp=None, **more) -> SweepSpec:
     return SweepSpec(**(axes | {"protocol": protocol, "model": {"kind": "rigid"}} | more))
 
 
-def cost_of(spec: SweepSpec) -> Cost:
-    return estimate(spec, make_plan(spec))
-
-
-sizes = st.integers(2, 9)
-shapes = st.tuples(st.integers(1, 10), st.integers(1, 10), st.integers(1, 10))
-grids = st.builds(sweep, sizes, sizes, sizes, st.none() | st.sampled_from(RAMPS))
-
-
-@given(grids, shapes)
-def test_chunks_are_numbered_in_an_order_they_can_run_in(spec, shape):
-    plan = make_plan(spec, chunk_shape=shape)
-    chunks = list(plan)
-    assert [chunk.index for chunk in chunks] == list(range(len(plan)))
-    assert all(chunk.after is None or chunk.after < chunk.index for chunk in chunks)
-    assert sum(chunk.after is None for chunk in chunks) == plan.lines
-    coords = layout(spec, plan.chunk_shape).coords
-    assert [plan.number(*coords(chunk.slices)) for chunk in chunks] == list(range(len(plan)))
+sizes = st.integers(1, 10)
 
 
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("direction", ["up", "down", "both"])
-@given(shape=shapes)
+@given(shape=st.tuples(sizes, sizes, sizes))
 def test_each_line_of_a_ramp_is_walked_through_from_end_to_end(axis, direction, shape):
-    """Going from predecessor to successor visits every cell of a line once, in the ramp's order."""
+    """Going from predecessor to successor visits every cell of a line once, in the ramp's order.
+
+    Chunks are numbered so that none comes before what it waits for.
+    """
     spec = sweep(3, 4, 7, (axis, direction))
     plan = make_plan(spec, chunk_shape=shape)
+    coords = layout(spec, plan.chunk_shape).coords
+    assert [plan.number(*coords(chunk.slices)) for chunk in plan] == list(range(len(plan)))
+    assert all(chunk.after is None or chunk.after < chunk.index for chunk in plan)
     n = plan.grid[AXES.index(axis)]
     up = [("up", place) for place in range(n)]
     down = [("down", place) for place in reversed(range(n))]
@@ -101,7 +91,8 @@ def test_a_sweep_of_seconds_has_chunks_for_many_workers_and_a_small_one_few():
 
 
 def test_too_much_is_refused_with_the_limit():
-    cost = cost_of(sweep(gamma=1000))
+    spec = sweep(gamma=1000)
+    cost = estimate(spec, make_plan(spec))
     check_size(cost, max_cells=1000, max_bytes=1_061_000, max_core_seconds=cost.upper_core_seconds)
     for limit, rule in (
         ({"max_cells": 999}, r"^asks for 1,000 cells; at most 999 are allowed: take fewer values$"),
@@ -115,15 +106,10 @@ def test_too_much_is_refused_with_the_limit():
             check_size(cost, **limit)
 
 
-def huge(kind: str, xi: int) -> SweepSpec:
-    axes = {"gamma": (0.5, 6.0, 1000), "omega": (0.1, 5.0, 1000), "xi": (0.02, 5.0, xi)}
-    ranges = {name: dict(zip(("start", "stop", "num"), axis, strict=True)) for name, axis in axes.items()}
-    return SweepSpec.model_validate({**ranges, "model": {"kind": kind}})
-
-
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
 def test_a_billion_cells_are_less_than_150_000_files(kind: str):
-    spec = huge(kind, 1000)
+    grid = spec_of((0.5, 6.0, 1000), (0.1, 5.0, 1000), (0.02, 5.0, 1000), model={"kind": kind})
+    spec = SweepSpec(**grid)
     plan, files = make_plan(spec), len(list(schema.arrays(spec)))
     assert len(plan) * files < 150_000
     cut = schema.layout(spec, plan.chunk_shape)
