@@ -199,3 +199,16 @@ def test_a_part_that_fails_leaves_its_turn_to_the_next():
     pool.futures[0].set_exception(ValueError())
     pool.futures[1].cancel()
     assert len(pool.futures) == 6
+
+
+def test_no_call_begins_after_the_end():
+    pool = Pool()
+    cache = OnDemandCache(pool, timeout=0.01)
+    with pytest.raises(Pending):
+        cache.get("many", [(print,)] * 6)
+    begun = len(pool.futures)
+    cache.close()
+    with pytest.raises(Pending):
+        cache.get("late", TWO)
+    pool.futures[0].set_result(0)
+    assert len(pool.futures) == begun
