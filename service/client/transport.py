@@ -171,7 +171,7 @@ class Transport:
         while True:
             left = deadline - time.monotonic()
             ask = partial(self._when_free, send, left, shown=progress is not False)
-            response = outlast(ask, away=MAX_OUTAGE if again else 0.0, busy=0.0)
+            response = outlast(ask, away=min(MAX_OUTAGE, left) if again else 0.0, busy=0.0)
             again = True
             if response.status_code != HTTPStatus.ACCEPTED:
                 return response.content

@@ -115,7 +115,7 @@ class OnDemandCache:
             raise
 
     def close(self) -> None:
-        """Cancel results still being computed. No other begins: the executor, which ends, could not take it."""
+        """Cancel results still being computed. No other begins, as the executor ends, too."""
         with self._lock:
             self._closed = True
             results = list(self._results.values())
