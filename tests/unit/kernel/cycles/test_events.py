@@ -48,7 +48,8 @@ def test_none_missed_and_none_invented(omega, xi, periods):
         expected = [event for event in whole if event.kind == kind]
         keep = (events.kind == kind) & (events.gamma < 8.0)
         assert events.flight_time[keep] == pytest.approx([e.flight_time for e in expected], rel=1e-5)
-        assert events.gamma[keep] == pytest.approx([e.gamma for e in expected], rel=1e-5)
+        # interpolated between flight times, beside which Gamma may change by its own size
+        assert events.gamma[keep] == pytest.approx([e.gamma for e in expected], rel=1e-4)
         for event, reason in zip(expected, events.violations[keep], strict=True):
             # samples do not decide where a condition is nearly broken
             assert abs(event.margin) < 1e-6 or (reason == 0) == (event.margin > 0.0)
