@@ -6,8 +6,10 @@ cell before the change. A step beyond the change is halved and repeated from the
 excites the spring, more so with less damping, and may have caused the change. The refinement ends when
 neither the step, nor the sum of the accepted steps of its size, exceeds half the tolerance.
 
-Just below the fold at which a cycle ends, bouncing lasts for long without a cycle. So a cell of a refinement
-bounces if its cycle is certified, or if it is aperiodic after PATIENCE plate periods.
+Just below the end of a cycle, or of chaos, bouncing lasts for long before it ends. So a cell of a refinement
+bounces if its cycle is certified, or if it is aperiodic after PATIENCE plate periods. The cell that stands
+for bouncing at the threshold must be certified, or last for LASTING. If it does not, or if undecided cells
+hide the threshold, all is sought again with that patience, and what is still undecided is passed over.
 """
 
 import math
@@ -29,13 +31,17 @@ from worker.sweep.task import run_cells
 #: Limit on the cells computed for one threshold, beside those of a bisection.
 MAX_CELLS: Final = 2_000
 
-#: Typical number of cells per threshold, to estimate the cost of a request.
+#: Typical number of cells per threshold, to estimate the cost of a request. One in a hundred thresholds, and
+#: one in ten at xi < 0.01, takes up to 30 cells of LASTING besides: seconds.
 TYPICAL_CELLS: Final = 40
 
 #: Plate periods before the window of a refinement's cell that is not certified, and the limit for one that
 #: still settles.
 PATIENCE: Final = UNTIL
 SETTLES_UNTIL: Final = 4 * UNTIL
+
+#: Plate periods after which bouncing without a cycle is no transient.
+LASTING: Final = 20 * UNTIL
 
 #: Flights kept of a refinement's cell: a thousand plate periods of a spring that rebounds.
 _FLIGHTS: Final = 10_000
@@ -68,6 +74,8 @@ _BY_OUTCOME: Final = {
     if outcome is not Outcome.AT_REST
 }
 
+_UNDECIDED: Final = (Status.UNRESOLVED, Status.DIVERGED, Status.SETTLING)
+
 
 class OnGrid(NamedTuple):
     """The threshold on one line of cells along gamma.
@@ -80,6 +88,14 @@ class OnGrid(NamedTuple):
     status: Status
     resting: int | None = None
     bouncing: int | None = None
+
+
+class _Bouncing(NamedTuple):
+    """A cell that bounces, and the state in which it began; None at rest."""
+
+    cell: Cell
+    start: Start | None
+    outcome: int
 
 
 class Refined(NamedTuple):
@@ -129,7 +145,6 @@ def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], to
     """
     results = {name: [(math.nan, Status.NOT_RAMPED)] * len(omegas) for name in ("up", "down")}
     endless = endless_rest(spec, spec.axis_values("omega")[list(omegas)], float(spec.axis_values("xi")[xi]))
-    fine = _patient(spec)
     for direction, name in enumerate(spec.directions):
         down = name == "down"
         for i, omega in enumerate(omegas):
@@ -137,7 +152,7 @@ def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], to
             result = math.nan, bracket.status
             if bracket.resting is not None and bracket.bouncing is not None:
                 edge = (bracket.bouncing, bracket.resting) if down else (bracket.resting, bracket.bouncing)
-                result = _refine_line(fine, url, (direction, xi, omega), edge, tolerance, down)
+                result = _refine_line(spec, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
     return Refined(
         tuple(value for value, _ in results["up"]),
@@ -166,16 +181,17 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
             return bracket
         values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
         for i in deciding:
-            outcome[i], _ = _run(_patient(spec), Cell(float(spec.axis_values("gamma")[i]), *values), None)
+            cell = Cell(float(spec.axis_values("gamma")[i]), *values)
+            outcome[i], _ = _run(_patient(spec, PATIENCE), cell, None, PATIENCE)
             computed[i] = 1
 
 
-def _patient(spec: SweepSpec) -> SweepSpec:
+def _patient(spec: SweepSpec, patience: int) -> SweepSpec:
     """The specification of a refinement's cells: they may settle for longer, and have no exponents.
 
     They keep so many flights that hops are seen to die out.
     """
-    until = max(spec.settles_until or 0, SETTLES_UNTIL, PATIENCE + spec.observe)
+    until = max(spec.settles_until or 0, SETTLES_UNTIL, patience + spec.observe)
     return spec.model_copy(update={"keep": _FLIGHTS, "exponents": 0, "settle": "auto", "until": until})
 
 
@@ -186,6 +202,25 @@ def _refine_line(
 
     edge: indices along gamma of the cells before and after the change.
     """
+    found = _search(spec, url, line, edge, tolerance, down, PATIENCE)
+    if found in _UNDECIDED or (isinstance(found, _Bouncing) and not _lasts(spec, found)):
+        found = _search(spec, url, line, edge, tolerance, down, LASTING)
+    return (found.cell.gamma, Status.FOUND) if isinstance(found, _Bouncing) else (math.nan, found)
+
+
+def _lasts(spec: SweepSpec, found: _Bouncing) -> bool:
+    """Whether the cell is on a cycle, or bounces for LASTING plate periods."""
+    if found.outcome == Outcome.PERIODIC:
+        return True
+    return _run(_patient(spec, LASTING), found.cell, found.start, LASTING)[0] in BOUNCING
+
+
+def _search(
+    spec: SweepSpec, url: str, line: tuple[int, int, int], edge: tuple[int, int], tolerance: float,
+    down: bool, patience: int,
+) -> _Bouncing | Status:  # fmt: skip
+    """The cell at the threshold, by this patience, or why there is none; otherwise as `_refine_line`."""
+    spec = _patient(spec, patience)
     before, after = edge
     direction, xi, omega = line
     gamma = spec.axis_values("gamma")
@@ -193,57 +228,75 @@ def _refine_line(
     cell = Cell(float(gamma[before]), *map(float, values))
     beyond = float(gamma[after])
     if spec.ramp_axis is None:
-        return _search_upward(spec, cell, gamma[after:], tolerance)
+        return _search_upward(spec, cell, gamma[after:], tolerance, patience)
     for i in range(before, len(gamma)):
         state = store.read_slice(url, ("end_state",), direction=direction, xi=xi, omega=omega, gamma=i)
         start = Start(state["end_state"], cell._replace(gamma=float(gamma[i])))
+        if not down:
+            return _ramp_on(spec, start, None, beyond - start.cell.gamma, tolerance, patience)
         # The window of a cell of the ramp may have been too short to show that its bouncing ends.
-        if not down or _run(spec, start.cell, start)[0] in BOUNCING:
-            return _ramp_on(spec, start, beyond - start.cell.gamma, tolerance, down)
-    return math.nan, Status.NOT_REFINED
+        known = _Bouncing(start.cell, start, _run(spec, start.cell, start, patience)[0])
+        if known.outcome in BOUNCING:
+            return _ramp_on(spec, start, known, beyond - start.cell.gamma, tolerance, patience)
+    return Status.NOT_REFINED
 
 
 def _search_upward(
-    spec: SweepSpec, cell: Cell, values: NDArray[np.float64], tolerance: float
-) -> tuple[float, Status]:
+    spec: SweepSpec, cell: Cell, values: NDArray[np.float64], tolerance: float, patience: int
+) -> _Bouncing | Status:
     """From rest: the threshold between `cell`, at rest, and the first of these higher gammas that bounces.
 
     The window of a cell of the sweep may have been too short to show that its bouncing ends.
     """
+    status = Status.ABOVE if len(values) <= MAX_CELLS else Status.NOT_REFINED
     for gamma in map(float, values[:MAX_CELLS]):
-        outcome, _ = _run(spec, cell._replace(gamma=gamma), None)
+        higher = cell._replace(gamma=gamma)
+        outcome, _ = _run(spec, higher, None, patience)
         if outcome in BOUNCING:
-            return _bisect(spec, cell, gamma, tolerance)
-        if outcome != Outcome.AT_REST:
-            return math.nan, _BY_OUTCOME[outcome]
-        cell = cell._replace(gamma=gamma)
-    return math.nan, Status.ABOVE if len(values) <= MAX_CELLS else Status.NOT_REFINED
-
-
-def _bisect(spec: SweepSpec, cell: Cell, bouncing: float, tolerance: float) -> tuple[float, Status]:
-    """From rest: the threshold between `cell`, at rest, and the higher gamma `bouncing`."""
-    resting = cell.gamma
-    while bouncing - resting > tolerance:
-        middle = 0.5 * (resting + bouncing)
-        if not resting < middle < bouncing:
-            break
-        outcome, _ = _run(spec, cell._replace(gamma=middle), None)
+            return _bisect(spec, cell.gamma, _Bouncing(higher, None, outcome), tolerance, patience)
         if outcome == Outcome.AT_REST:
-            resting = middle
-        elif outcome in BOUNCING:
-            bouncing = middle
-        else:
-            return math.nan, _BY_OUTCOME[outcome]
-    return bouncing, Status.FOUND
+            cell = higher
+        else:  # it is passed over, as on the grid
+            status = _BY_OUTCOME[outcome]
+    return status
+
+
+def _bisect(
+    spec: SweepSpec, resting: float, found: _Bouncing, tolerance: float, patience: int
+) -> _Bouncing | Status:
+    """From rest: the threshold between the gamma `resting` and the higher cell that was found to bounce.
+
+    First the lowest cell that is not at rest is sought; if that is undecided, the lowest above that bounces.
+    """
+    low, high, outcome = resting, found.cell.gamma, found.outcome
+    for passed in ((Outcome.AT_REST,), set(Outcome) - set(BOUNCING)):
+        while high - low > tolerance:
+            middle = 0.5 * (low + high)
+            if not low < middle < high:
+                break
+            cell = found.cell._replace(gamma=middle)
+            tried, _ = _run(spec, cell, None, patience)
+            if tried in passed:
+                low = middle
+                continue
+            high, outcome = middle, tried
+            if outcome in BOUNCING:
+                found = _Bouncing(cell, None, outcome)
+        if outcome not in BOUNCING and patience < LASTING:
+            return _BY_OUTCOME[outcome]
+        low, high = high, found.cell.gamma
+    return found
 
 
 def _ramp_on(
-    spec: SweepSpec, start: Start, step: float, tolerance: float, down: bool
-) -> tuple[float, Status]:
+    spec: SweepSpec, start: Start, known: _Bouncing | None, step: float, tolerance: float, patience: int
+) -> _Bouncing | Status:
     """On a ramp: the threshold beyond `start`, less than the signed `step` away.
 
-    NOT_REFINED after MAX_CELLS cells, and below the lowest gamma of specifications.
+    known: on a ramp down, the cell of `start`, which bounces. NOT_REFINED after MAX_CELLS cells, and below
+    the lowest gamma of specifications.
     """
+    down = known is not None
     same, changed = (BOUNCING, (Outcome.AT_REST,)) if down else ((Outcome.AT_REST,), BOUNCING)
     advance = 0.0  # sum of the accepted steps since the last halving
     step *= 0.5
@@ -251,23 +304,28 @@ def _ramp_on(
         cell = start.cell._replace(gamma=start.cell.gamma + step)
         if cell.gamma < SMALLEST or cell.gamma == start.cell.gamma:
             break
-        outcome, end = _run(spec, cell, start)
+        outcome, end = _run(spec, cell, start, patience)
+        fine = max(abs(step), advance) <= 0.5 * tolerance
+        if fine and outcome not in (*same, *changed):  # a cell at the threshold itself may be undecided
+            cell = cell._replace(gamma=cell.gamma + step)
+            outcome, end = _run(spec, cell, start, patience)
+        if outcome in BOUNCING:
+            known = _Bouncing(cell, start, outcome)
         if outcome in same:
-            start, advance = Start(end, cell), advance + abs(step)
+            advance += abs(cell.gamma - start.cell.gamma)
+            start = Start(end, cell)
             continue
         # An undecided cell starts no further cell: a smaller step may decide.
-        if max(abs(step), advance) <= 0.5 * tolerance:
-            if outcome not in changed:  # a cell at the threshold itself may be undecided
-                further, _ = _run(spec, cell._replace(gamma=cell.gamma + step), start)
-                if further not in changed:
-                    return math.nan, _BY_OUTCOME[outcome]
-            return (start.cell.gamma if down else cell.gamma), Status.FOUND
+        if fine:
+            if known and (outcome in changed or (patience == LASTING and (down or known.cell > start.cell))):
+                return known
+            return _BY_OUTCOME[outcome]
         step, advance = 0.5 * step, 0.0
-    return math.nan, Status.NOT_REFINED
+    return Status.NOT_REFINED
 
 
-def _run(spec: SweepSpec, cell: Cell, start: Start | None) -> tuple[int, NDArray[np.float64]]:
+def _run(spec: SweepSpec, cell: Cell, start: Start | None, patience: int) -> tuple[int, NDArray[np.float64]]:
     """Outcome and end state of one cell."""
     gamma, omega, xi = (np.array([value]) for value in cell)
-    line = run_cells(spec, gamma, omega, xi, start, PATIENCE)
+    line = run_cells(spec, gamma, omega, xi, start, patience)
     return int(line.outcome[0]), line.end_state[0]

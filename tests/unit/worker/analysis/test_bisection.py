@@ -9,7 +9,7 @@ from chunks import compute
 
 import worker.analysis.bisection
 from kernel.cycles.thresholds import thresholds as fold_at
-from kernel.params import Outcome
+from kernel.params import Cell, Outcome
 from kernel.threshold import threshold
 from worker import store
 from worker.analysis.bisection import Refined, Status, by_bisection
@@ -86,6 +86,57 @@ def test_bouncing_ends_at_the_fold_of_its_cycle(tmp_path: Path, window: dict[str
     found = thresholds(spec, url, 1e-5)
     assert found.down_status == (Status.FOUND,) * len(folds)
     np.testing.assert_allclose(found.down, list(folds.values()), rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("restitution", "observe", "end"), [(0.0, 20, 0.591655), (0.5, 1_000, 0.6360205)], ids=["0", "0.5"]
+)
+def test_bouncing_ends_where_its_cycle_spirals_out(
+    tmp_path: Path, restitution: float, observe: int, end: float
+):
+    """At unit multipliers, by an integrator of their own; just below, leaving takes 20,000 periods."""
+    gamma, model = {"start": 0.51, "stop": 1.21, "num": 29}, {"kind": "rigid", "restitution": restitution}
+    fields = {"gamma": gamma, "omega": [0.58], "xi": 0.03, "protocol": ramp("both"), "model": model}
+    spec, url = computed(tmp_path, **fields, observe=observe)
+    found = thresholds(spec, url, 1e-5)
+    assert found.down_status == (Status.FOUND,)
+    assert found.down == pytest.approx((end,), abs=1e-5)
+
+
+def test_chaos_that_outlives_the_patience_is_no_threshold(tmp_path: Path):
+    """Half of it lives for 6,000 periods, and some at a single gamma."""
+    model = {"kind": "rigid", "restitution": 0.9}
+    gamma = {"start": 0.1, "stop": 4.0, "num": 53}
+    spec, url = computed(tmp_path, gamma=gamma, omega=[0.917, 1.8696], xi=0.005, model=model)
+    onset = threshold(np.array(spec.omega), 0.005)
+    np.testing.assert_allclose(thresholds(spec, url, TOLERANCE).up, onset, rtol=0, atol=TOLERANCE)
+
+
+def test_a_chaotic_cell_that_seems_to_settle_does_not_lose_its_line(tmp_path: Path):
+    model = {"kind": "soft", "restitution": 0.793, "penetration": 0.1, "adhesive": False}
+    gamma = {"start": 0.1, "stop": 4.0, "num": 53}
+    spec, url = computed(tmp_path, gamma=gamma, omega=[0.9601], xi=0.02, model=model, observe=30)
+    found = thresholds(spec, url, TOLERANCE)
+    assert found.up_status == (Status.FOUND,)
+    assert found.up == pytest.approx((0.143009,), abs=TOLERANCE)
+
+
+@pytest.mark.parametrize("protocol", [{"kind": "rest"}, ramp("both")], ids=["rest", "ramp"])
+def test_cells_that_stay_undecided_are_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: dict[str, str]
+):
+    """The threshold is then the lowest Gamma that is known to bounce."""
+
+    def run(spec: SweepSpec, cell: Cell, *_: Any) -> tuple[Outcome, Any]:
+        low, high = np.array([0.7, 0.7005]) < cell.gamma
+        return (Outcome.APERIODIC if high else Outcome.SETTLING if low else Outcome.AT_REST), np.zeros(6)
+
+    spec, url = computed(tmp_path, gamma=[0.4, 0.9, 1.2], omega=[0.6], xi=0.05, protocol=protocol)
+    monkeypatch.setattr(worker.analysis.bisection, "_run", run)
+    for tolerance in (1e-2, 1e-4, 1e-6):
+        found = thresholds(spec, url, tolerance)
+        known = [gamma for gamma in found.up + found.down if np.isfinite(gamma)]
+        assert known == pytest.approx([0.7005] * len(spec.directions), abs=max(tolerance, 5e-4))
 
 
 def test_hops_that_outlive_the_window_are_no_threshold(tmp_path: Path):
