@@ -21,14 +21,12 @@ if __name__ == "__main__":
 
 from artists import difference, read_back
 from paths import GOLDEN, ROOT
-from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.figures import tradeoff
 from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
-from service.views import diagram, modes, multistability, threshold
-from service.views.encode import picture
+from service.views import diagram, multistability, threshold
 from service.views.selection import LABEL, Stored
 from worker.sweep import SweepSpec
 
@@ -186,16 +184,6 @@ if __name__ == "__main__":
     write()
 
 
-def test_a_legend_of_thresholds_has_what_is_drawn():
-    """Of one omega, which has no line, without predictions."""
-    columns = {"analytic": [1.0], "predicted_down": [NAN], "up": [NAN], "down": [1.1]}
-    axes = Figure().subplots()
-    data = {name: ("omega", column) for name, column in columns.items()}
-    draw_thresholds(axes, xarray.Dataset(data, {"omega": [0.5], "xi": 0.26}))
-    drawn = [(line.get_label(), line.get_marker()) for line in axes.lines]
-    assert drawn == [("Eq. 25", "_"), ("computed, down", "v")]
-
-
 def test_a_map_of_one_row_shows_its_cells():
     """Of one omega, around which there is no distance to the next; the title has the direction of a ramp."""
     cells = {"outcome": [[1, 2, 3]], "periods": [[1, 0, 0]], "bounces": [[1, 0, 0]]}
@@ -218,25 +206,6 @@ def wide_map(low: float, high: float) -> xarray.Dataset:
     return xarray.Dataset(data, {"omega": values, "gamma": values, "xi": 0.1})
 
 
-@for_each(("low", "high"), [(0.1, 100.0), (0.01, 100.0), (1e-4, 1e5), (1e-6, 1e6)])
-def test_a_logarithmic_map_has_numbers_and_its_threshold_all_over(low: float, high: float):
-    """The white rim and the dashes of the threshold; the numbers, of the left of two maps, lie apart."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=modes.VIEW.size, layout="constrained")
-        for axes in figure.subplots(1, 2):
-            draw_modes(axes, wide_map(low, high))
-        figure.draw_without_rendering()
-    axes = figure.axes[0]
-    for line in axes.lines:
-        np.testing.assert_allclose(np.asarray(line.get_ydata())[[0, -1]], axes.get_ylim())
-    for axis, side in ((axes.xaxis, 0), (axes.yaxis, 1)):
-        begins, ends = axis.get_view_interval()
-        shown = [tick.label1 for tick in axis.get_major_ticks() if begins <= tick.get_loc() <= ends]
-        places = np.array([label.get_window_extent().get_points()[:, side] for label in shown])
-        assert len(places) >= 4
-        assert (places[1:, 0] - places[:-1, 1] > 2).all()
-
-
 def test_a_ball_has_no_threshold_of_a_spring(tmp_path: Path):
     """Thresholds of a sweep that has not begun, a map, and a diagram."""
     lines = []
@@ -252,8 +221,3 @@ def test_a_ball_has_no_threshold_of_a_spring(tmp_path: Path):
         draw_diagram(right, times.assign_coords(direction="rest").assign_attrs(model=kind))
         lines.append([len(each.lines) for each in (axes, middle, right)])
     assert lines == [[2, 2, 2], [0, 0, 1]]
-
-
-def test_an_svg_names_fonts_for_viewers_without_the_first():
-    svg = picture((2.0, 2.0), lambda figure: figure.text(0.5, 0.5, "Γ"), "svg", {"release": ""}).decode()
-    assert "'STIXGeneral', 'STIX Two Text', 'Times New Roman', 'Liberation Serif', serif" in svg
