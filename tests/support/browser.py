@@ -135,6 +135,11 @@ def wait_shown(page: Any, **values: Any) -> None:
     )
 
 
+def picture(page: Any) -> str:
+    """What the plot shows."""
+    return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
+
+
 def redraws(page: Any, indices: list[int]) -> list[float]:
     """Move the first slider of a view to each index; the times until the plot was redrawn, ms."""
     return [float(time) for time in page.evaluate(_MOVE_SLIDER, indices)]

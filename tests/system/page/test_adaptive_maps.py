@@ -5,7 +5,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from browser import needs_chromium, opened, screenshot, wait_shown
+from browser import needs_chromium, opened, picture, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 from served import done
 from studies import spec_of
@@ -20,10 +20,6 @@ MAP = spec_of(
 def job_of(address: str, id: str) -> dict[str, Any]:
     view: dict[str, Any] = httpx2.get(f"{address}/v1/jobs/{id}", timeout=DEADLINE).json()
     return view
-
-
-def picture(page: Any) -> str:
-    return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
 
 
 def test_the_form_submits_an_adaptive_map(browser: Any, address: str):

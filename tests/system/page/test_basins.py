@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import wait_for
 from served import done
@@ -21,12 +20,8 @@ DROPS: dict[str, Any] = {
 COLOURS = ["rgb({}, {}, {})".format(*bytes.fromhex(colour[1:])) for colour in ATTRACTORS[:2]]
 
 
-@pytest.fixture(scope="module")
-def drops(address: str) -> str:
-    return done(address, DROPS)
-
-
-def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str):
+def test_a_start_is_read_and_seen_to_move(browser: Any, address: str):
+    drops = done(address, DROPS)
     with Client(address) as client:
         found = client.job(drops).basins(1.27)
     with opened(browser, f"{address}/#/job/{drops}?gamma=1.27") as page:
@@ -59,11 +54,6 @@ def test_a_start_is_read_and_seen_to_move(browser: Any, address: str, drops: str
             assert again.locator(".trajectory header .note").inner_text() == about
             again.set_viewport_size({"width": 390, "height": 844})  # of a phone
             assert again.evaluate("document.documentElement.scrollWidth <= innerWidth")
-
-
-def test_the_slider_shows_another_cell(browser: Any, address: str, drops: str):
-    with opened(browser, f"{address}/#/job/{drops}/basin?gamma=1.27") as page:
-        wait_shown(page, gamma=1.27)
-        page.locator("#slider-gamma").fill("0")
+        page.locator("#slider-gamma").fill("0")  # another cell
         wait_shown(page, gamma=0.6)
         assert "at rest" in page.locator(".panel .legend").inner_text()

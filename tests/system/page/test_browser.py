@@ -19,6 +19,7 @@ from browser import (
     needs_chromium,
     open_tab,
     opened,
+    picture,
     reopen,
     screenshot,
     wait_shown,
@@ -63,10 +64,6 @@ def colours(page: Any, selector: str = ".panel .plot canvas") -> int:
     return int(
         page.eval_on_selector(selector, "canvas => new Set(new Uint32Array(pixels(canvas).data.buffer)).size")
     )
-
-
-def picture(page: Any) -> str:
-    return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
 
 
 # The form

@@ -18,14 +18,7 @@ from kernel.params import Cell
 pytestmark = needs_chromium
 
 #: A hysteresis loop with the frequencies of an S-shaped branch and of a tip.
-LOOP = spec_of(
-    (0.45, 1.1, 66),
-    (0.5, 0.75, 11),
-    0.05,
-    name="Hysteresis in closed form",
-    ramp="both",
-    window=(120, 30, 24),
-)
+LOOP = spec_of((0.45, 1.1, 66), (0.5, 0.75, 11), 0.05, name="Closed form", ramp="both", window=(120, 30, 24))
 
 #: Positions on the plot, in CSS pixels, of pixels in the colour of a property of the style sheet.
 PIXELS = """([selector, property]) => {

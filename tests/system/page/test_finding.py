@@ -1,9 +1,11 @@
 """The list of sweeps, found, pinned and deleted; comparison; one spring explored; what is taken away."""
 
+import ast
 import io
 import json
 import re
 import time
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -141,7 +143,7 @@ def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: li
         assert jobs[0] in origin.inner_text()
         assert re.search(r"Core-seconds\s+[\d.]+", origin.inner_text())
         screenshot(page, "details")
-        for name, read in {"TOML": _as_toml, "Python": _as_python, "JSON": json.loads}.items():
+        for name, read in {"TOML": tomllib.loads, "Python": _as_python, "JSON": json.loads}.items():
             page.get_by_label("Language").select_option(name)
             assert client.submit(read(page.locator(".snippets pre").inner_text())).id == jobs[0], name
 
@@ -179,15 +181,7 @@ def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: l
         screenshot(page, "audit")
 
 
-def _as_toml(text: str) -> Any:
-    import tomllib
-
-    return tomllib.loads(text)
-
-
 def _as_python(text: str) -> Any:
-    import ast
-
     (spec,) = (node.value for node in ast.parse(text).body if isinstance(node, ast.Assign))
     return ast.literal_eval(spec)
 

@@ -79,20 +79,16 @@ def test_every_endpoint_requires_the_token(guarded: TestClient, given: str):
     assert now["state"] in ("queued", "running")
 
 
-@for_each("header", [TOKEN, f"Basic {TOKEN}", f"Bearer{TOKEN}", "Bearer", "Bearer \u00e9"])
-def test_the_token_must_be_a_bearer_token(guarded: TestClient, header: str):
-    answer = guarded.get("/v1/jobs", headers={"Authorization": header.encode("latin-1")})
-    assert answer.status_code == 401
+@for_each("sent", [[TOKEN], [f"Basic {TOKEN}"], [f"Bearer{TOKEN}"], ["Bearer"], ["Bearer \u00e9"],
+                   [f"Bearer {TOKEN}", "Bearer x"]])  # fmt: skip
+def test_the_token_must_be_one_bearer_token(guarded: TestClient, sent: list[str]):
+    headers = [(b"Authorization", header.encode("latin-1")) for header in sent]
+    assert guarded.get("/v1/jobs", headers=headers).status_code == 401
 
 
 def test_requests_with_the_token_are_answered(guarded: TestClient):
     assert guarded.get("/v1/jobs", headers=bearer(TOKEN)).status_code == 200
     assert guarded.get("/v1/jobs", headers={"Authorization": f"bearer  {TOKEN} "}).status_code == 200
-
-
-def test_two_authorization_headers_are_refused(guarded: TestClient):
-    both = [("Authorization", f"Bearer {TOKEN}"), ("Authorization", "Bearer x")]
-    assert guarded.get("/v1/jobs", headers=both).status_code == 401
 
 
 @pytest.mark.parametrize("path", ["/healthz", "/readyz", "/docs", "/openapi.json"])

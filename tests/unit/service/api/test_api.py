@@ -8,8 +8,7 @@ import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, finished, get, read, service
-
-PNG = b"\x89PNG\r\n\x1a\n"
+from tables import for_each
 
 
 @pytest.fixture(scope="module")
@@ -68,14 +67,10 @@ def test_results_before_the_job_is_done_are_incomplete(tmp_path: Path):
         assert np.isnan(read(client, f"{queued}/threshold").up).all()
 
 
-@pytest.mark.parametrize("path", ["modes", "threshold", "trajectory?gamma=2", "/v1/orbits?omega=0.6&xi=0.1"])
+@for_each("path", ["{}/modes?", "{}/threshold?", "{}/trajectory?gamma=2&", "/v1/orbits?omega=0.6&xi=0.1&"])
 def test_results_are_drawn(client: TestClient, figure_2: str, path: str):
-    place, _, query = path.partition("?")
-    answer = client.get(
-        place if place.startswith("/") else f"{figure_2}/{place}",
-        params={**dict(pair.split("=") for pair in query.split("&") if pair), "format": "png"},
-    )
-    assert answer.content.startswith(PNG), answer.text
+    answer = client.get(f"{path.format(figure_2)}format=png")
+    assert answer.content.startswith(b"\x89PNG\r\n\x1a\n"), answer.text
 
 
 # Operation

@@ -10,26 +10,24 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from fastapi import Request, Response
+from fastapi import Response
 from fastapi.routing import APIRoute
 from fastapi.testclient import TestClient
 from scripted import DEADLINE, Held, wait_for
-from served import FIGURE_2, RAMP, computing, finished, listening, taken
+from served import FIGURE_2, computing, finished, listening, taken
 from starlette.types import Message
+from tables import for_each
 
 from service.api import routers
 from service.api.app import create_app
-from service.api.capacity import CLIENT_GONE, PIECE, Capacity, Cost, Lease, costly
+from service.api.capacity import PIECE, Capacity, Lease
 from service.api.routers import views
 from service.errors import Busy
 from service.server.web_server import limited
 from service.settings import Settings
-from service.views.modes import comparison_memory
-from worker.sweep import SweepSpec
 
 MB = 2**20
 
@@ -149,41 +147,6 @@ def test_those_behind_one_who_waits_no_longer_get_their_turn(why: str):
     run()
 
 
-async def gone() -> Message:
-    return {"type": "http.disconnect"}
-
-
-def request(receive: Callable[[], Awaitable[Message]]) -> Request:
-    return Request({"type": "http", "method": "GET", "headers": []}, receive)
-
-
-@in_loop
-async def test_a_client_that_has_left_gets_nothing_and_holds_nothing():
-    limits, computed = capacity(), []
-
-    @costly(Cost(50))
-    def endpoint(service: Any) -> Response:
-        computed.append(service)
-        return Response(b"x")
-
-    parts = SimpleNamespace(capacity=limits)
-    answer = await endpoint(request=request(gone), service=parts)
-    assert answer.status_code == CLIENT_GONE
-    assert (limits.used, computed) == (0, [])
-
-    stopped = asyncio.Event()
-
-    async def receive() -> Message:
-        try:
-            return await never()
-        finally:
-            stopped.set()
-
-    await endpoint(request=request(receive), service=parts)
-    assert computed == [parts]
-    await stopped.wait()  # nobody waits for its end while the answer is sent
-
-
 @in_loop
 async def test_the_end_of_the_service_waits_for_no_thread_and_begins_nothing():
     limits, go, began = capacity(slots=1), threading.Event(), threading.Semaphore(0)
@@ -253,15 +216,6 @@ async def test_an_error_gives_everything_back():
         await lease.run(fail)
     assert limits.used == 0
 
-    async def broken(message: Message) -> None:
-        raise OSError
-
-    lease = await limits.acquire("read", 50)
-    response = await lease.run(lambda: Response(b"x"))
-    with pytest.raises(OSError):  # noqa: PT011
-        await response({"type": "http"}, never, broken)
-    assert limits.used == 0
-
 
 async def never() -> Message:
     return await asyncio.Future()
@@ -285,14 +239,8 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
         yield client
 
 
-READS = ["diagram", "diagram?format=png", "modes?format=bin"]
-
-
-FLIGHTS, RAMPED, HYSTERESIS = 111 * 64, 11 * 8, comparison_memory(SweepSpec.parse(RAMP))
-
-
 @pytest.mark.usefixtures("nothing_is_small")
-@pytest.mark.parametrize("path", READS)
+@for_each("path", ["diagram", "diagram?format=png", "modes?format=bin"])
 def test_beyond_the_limit_a_read_is_told_to_come_again(client: TestClient, path: str):
     here = finished(client, FIGURE_2)
     for busy in ({"slots": 1}, {"memory": 2**40}):
@@ -311,16 +259,20 @@ def test_small_reads_are_answered_while_every_costly_place_is_taken(client: Test
         "diagram", "diagram?format=csv&every=2", "diagram?format=bin", "modes", "modes?format=bin",
         "threshold", "threshold?predict=none", "zarr/flight_time/c.0.0.0.0.0",
     ]  # fmt: skip
-    with (
-        taken(client, "read", memory=2**40),
-        ThreadPoolExecutor(8) as pool,
-    ):
+    with taken(client, "read", memory=2**40), ThreadPoolExecutor(8) as pool:
         answers = list(pool.map(client.get, [f"{here}/{path}" for path in small * 8]))
         assert {answer.status_code for answer in answers} == {200}, [
             a.url.path for a in answers if a.is_error
         ]
         assert client.get(f"{here}/diagram?format=png").status_code == 429
     wait_for(lambda: client.app.state.service.small_reads.used == 0)  # type: ignore[attr-defined]
+
+
+#: A request for a motion, as sent.
+MOTION = (
+    b"POST /v1/trajectories HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+    b'Content-Length: 40\r\n\r\n{"gamma": 2.0, "omega": 0.5, "xi": 0.26}'
+)
 
 
 def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: Path):
@@ -333,18 +285,13 @@ def test_nothing_is_computed_for_clients_that_left_before_their_turn(tmp_path: P
         raise Busy("enough")
 
     app = create_app(Settings(data=tmp_path, max_trajectories=1, turn_seconds=DEADLINE), Held())
-    body = b'{"gamma": 2.0, "omega": 0.5, "xi": 0.26}'
-    request = (
-        b"POST /v1/trajectories HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
-        b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
-    )
     with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 99)) as address:
         patch.setattr("service.views.trajectory.motion", hold)
         capacity = app.state.service.capacity
         with contextlib.ExitStack() as connections:
             for _ in range(20):
                 connection = connections.enter_context(socket.create_connection(address, timeout=DEADLINE))
-                connection.sendall(request)
+                connection.sendall(MOTION)
             assert began.acquire(timeout=DEADLINE)
             wait_for(lambda: capacity.waiting["trajectory"] == 19)
         wait_for(lambda: not capacity.waiting["trajectory"])
@@ -368,13 +315,8 @@ def test_an_answer_that_nobody_reads_ends(tmp_path: Path):
     with pytest.MonkeyPatch.context() as patch, listening(app, limited(DEADLINE, 9, stall=0.2)) as address:
         patch.setattr("service.api.routers.views.Response", answer)
         capacity = app.state.service.capacity
-        body = b'{"gamma": 2.0, "omega": 0.5, "xi": 0.26}'
-        request = (
-            b"POST /v1/trajectories HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
-            b"Content-Length: %d\r\n\r\n%s" % (len(body), body)
-        )
         with socket.create_connection(address, timeout=DEADLINE) as connection:
-            connection.sendall(request)
+            connection.sendall(MOTION)
             wait_for(lambda: held and capacity.used == 0)
             assert held[0] > MB
             with pytest.raises(ConnectionResetError):

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from scripted import Held, sweep
 from served import computing, finished, get, service
+from studies import spec_of
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -32,12 +33,7 @@ def test_a_key_must_be_ascii_without_spaces(tmp_path: Path):
 
 def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
     with computing(tmp_path) as client:
-        work = {
-            **SWEEP,
-            "gamma": {"start": 1.5, "stop": 5.0, "num": 400},
-            "settle": 3000,
-            "model": {"kind": "rigid"},
-        }
+        work = SWEEP | spec_of((1.5, 5.0, 400), 0.5, 0.26, settle=3000)
         here = finished(client, work)
         cost = client.post("/v1/jobs?validate_only=true", json={**work, "xi": 0.2}).json()
         assert cost["basis"] == "measured"

@@ -45,7 +45,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[tuple[d
     return found
 
 
-def test_chunks_are_counted_by_what_became_of_them(measured: dict[str, Any]):
+def test_chunks_jobs_and_cells_are_counted_by_what_became_of_them(measured: dict[str, Any]):
     [(_, computed)] = measured["bounce_chunks_computed_total"]
     buckets = [(labels["le"], value) for labels, value in measured["bounce_chunk_duration_seconds_bucket"]]
     assert buckets[-1] == ("+Inf", computed)
@@ -54,9 +54,6 @@ def test_chunks_are_counted_by_what_became_of_them(measured: dict[str, Any]):
     assert ({"action": "retry", "error": "ValueError"}, 1.0) in measured["bounce_chunks_returned_total"]
     assert measured["bounce_chunks_in_flight"] == [({}, 0.0)]
     assert measured["bounce_chunks_damaged_total"] == [({}, 0.0)]
-
-
-def test_jobs_chunks_and_cells_are_counted(measured: dict[str, Any]):
     jobs = {labels["state"]: value for labels, value in measured["bounce_jobs"]}
     assert jobs == {"queued": 0.0, "running": 0.0, "done": 1.0, "failed": 0.0, "cancelled": 0.0}
     assert measured["bounce_chunks_done"] == measured["bounce_chunks_computed_total"]

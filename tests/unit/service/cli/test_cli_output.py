@@ -66,15 +66,11 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
     ],
 )  # fmt: skip
 def test_an_estimate_is_one_line(changes: dict[str, Any], line: str):
-    fields = {
-        "cells": 1_200,
-        "chunks": 30,
-        "bytes": 2_500_000,
-        "core_seconds": 12.0,
-        "basis": "table",
-        "workers": 2,
-    }
-    estimate = Estimate(**{**fields, "longest_core_seconds": None, **changes})
+    fields: dict[str, Any] = {
+        "cells": 1_200, "chunks": 30, "bytes": 2_500_000, "core_seconds": 12.0, "basis": "table",
+        "workers": 2, "longest_core_seconds": None,
+    }  # fmt: skip
+    estimate = Estimate(**fields | changes)
     assert estimate_line(estimate) == line
 
 

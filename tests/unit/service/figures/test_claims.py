@@ -1,7 +1,6 @@
 """Claims of captions on data made for them: what agrees, what contradicts, and the bounds between."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray
@@ -10,24 +9,13 @@ from kernel.params import Outcome
 from service.figures.flights import compare
 
 
-def diagram(values: Sequence[float], axis: str = "gamma", **cells: Any) -> xarray.Dataset:
-    """A bifurcation diagram; of its variables those that a claim is about."""
-    variables = {
-        name: ((axis, "flight") if name == "flight_time" else axis, np.array(each))
-        for name, each in cells.items()
-    }
-    return xarray.Dataset(variables, {axis: np.array(values, float)})
-
-
-# A rigid spring and a ball
-
-
 def modes(*pairs: tuple[int, int], times: Sequence[Sequence[float]], periodic: bool = True) -> xarray.Dataset:
+    """A bifurcation diagram; of its variables those that a claim is about."""
     outcome = Outcome.PERIODIC if periodic else Outcome.APERIODIC
-    bounces, periods = zip(*pairs, strict=True)
-    values = range(len(pairs))
-    outcomes = [outcome] * len(pairs)
-    return diagram(values, outcome=outcomes, bounces=bounces, periods=periods, flight_time=times)
+    bounces, periods = np.transpose(pairs)
+    cells = {"outcome": np.full(len(pairs), outcome), "bounces": bounces, "periods": periods}
+    variables = {name: ("gamma", each) for name, each in cells.items()}
+    return xarray.Dataset(variables | {"flight_time": (("gamma", "flight"), np.array(times))})
 
 
 def test_cycles_are_compared_cell_by_cell_where_both_are_periodic():

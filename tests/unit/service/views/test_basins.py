@@ -33,23 +33,6 @@ def found(job: Job) -> xarray.Dataset:
     return job.basins(1.25)  # the nearest is 1.27
 
 
-def test_the_basin_of_a_cell(found: xarray.Dataset, job: Job):
-    assert [found[axis].item() for axis in ("gamma", "omega", "xi")] == [1.27, 0.5, 0.26]
-    assert found.attractor.values.tolist() == [1, 2]
-    assert found.attractor_longest_flight.values.round(6).tolist() == FLIGHTS
-    assert found.attractor_label.values.tolist() == ["(1,1)", "(1,1)"]
-    assert np.isnan(found.attractor_lifetime).all()  # infinite in the store
-    assert (found.attractor_lyapunov[:, 0] < -0.1).all()
-    assert (found.attractor_lyapunov_error < 1e-3).all()
-    ids = found.attractor_of_start
-    assert [float((ids == i).mean()) for i in (1, 2)] == found.attractor_fraction.values.tolist()
-    assert found.undecided == 0.0
-    assert 0.0 < found.basin_entropy <= found.boundary_entropy < np.log(2.0)
-    assert found.attrs["complete"] == 1
-    stored = job.open().load()
-    assert (stored.attractor.sel(gamma=1.27).squeeze().values == ids.values).all()
-
-
 def test_a_cell_that_is_not_computed_yet_is_not_complete(tmp_path: Path):
     with occupied(tmp_path) as service:
         job = service.post("/v1/jobs", json=SPEC).json()

@@ -1,7 +1,5 @@
 """Diagrams made up by hand: their table, and what their picture draws, read back from its artists."""
 
-import csv
-import io
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from service import pictures
-from service.views import diagram, encode
+from service.views import diagram
 from service.views.variables import variable
 from worker.sweep import schema
 
@@ -60,17 +58,6 @@ def texts(axes: Axes) -> list[str]:
     return [text.get_text() for text in axes.texts]
 
 
-def test_a_table_has_a_row_per_flight():
-    found = both(cells(), cells(flight_time=[[NAN, NAN], [4.0, NAN], [NAN, 6.0], [NAN, NAN]]))
-    rows = list(csv.DictReader(io.StringIO(encode.to_csv(found, "flight_time").decode())))
-    assert {name: rows[0][name] for name in ("flight_time", "outcome", "bounces", "xi")} == {
-        "flight_time": "4.0", "outcome": "periodic", "bounces": "1", "xi": "0.26"
-    }  # fmt: skip
-    assert [(row["direction"], row["gamma"], row["flight"]) for row in rows] == [
-        ("up", "1.5", "0"), ("up", "2.5", "0"), ("up", "2.5", "1"), ("down", "1.5", "0"), ("down", "2.5", "1")
-    ]  # fmt: skip
-
-
 def test_strips_have_the_modes_of_both_ways_without_hidden_classes():
     found = both(cells(), cells(bounces=[0, 2, 0, 0])).assign_attrs(hide="aperiodic")
     axes = drawn(found)
@@ -104,21 +91,12 @@ def test_values_in_equal_ratios_have_a_logarithmic_axis(values: list[float], sca
     assert not any(label.get_text() for label in axes.get_xticklabels(minor=True))
 
 
-def test_room_for_half_a_dot_is_that_of_the_axis():
-    assert drawn(cells(gamma=np.geomspace(0.01, 100.0, 4))).get_xlim()[0] > 0.009
-
-
 @pytest.mark.parametrize("log", ["none", "x", "y", "xy"])
 def test_axes_are_logarithmic_where_asked(log: str):
     axes = drawn(cells(gamma=[1.0, 2.0, 4.0, 8.0]).assign_attrs(log=log))
     assert (axes.get_xscale() == "log", axes.get_yscale() == "log") == ("x" in log, "y" in log)
     assert axes.get_ylim()[0] == (pytest.approx(axes.get_ylim()[1] / 1000) if "y" in log else 0.0)
     axes.figure.canvas.draw()
-
-
-def test_a_linear_axis_keeps_its_ticks_where_it_is_asked_for():
-    asked, minor = drawn(cells().assign_attrs(log="none")), drawn(cells()).xaxis.get_minorticklocs()
-    np.testing.assert_array_equal(asked.xaxis.get_minorticklocs(), minor)
 
 
 def test_a_picture_says_what_is_missing():

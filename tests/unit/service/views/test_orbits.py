@@ -15,8 +15,6 @@ from served import get
 from served import service as begun
 from tables import for_each
 
-from kernel.cycles.energy import energy
-from kernel.cycles.events import branch_and_events
 from kernel.cycles.thresholds import closed_form
 from service.client import Client
 from service.pictures import AXES, draw_thresholds
@@ -25,9 +23,8 @@ from service.views.registry import SPRINGS
 from service.views.springs import curves as curves_view
 from service.views.springs import orbits as orbits_view
 from service.views.springs import threshold as spring_threshold
-from service.views.springs.branches import BALANCE
 
-FOLD_060, JUMP_060 = 0.553244593, 0.915989  # BRANCHES: xi = 0.05, Omega = 0.60
+FOLD_060 = 0.553244593  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
 
 
@@ -37,28 +34,14 @@ def refused(client: TestClient, path: str, status: int, **query: Any) -> str:
     return str(answer.json()["detail"])
 
 
-def test_branches_are_those_of_the_kernel(python_client: Client, monkeypatch: pytest.MonkeyPatch):
+def test_branches_are_the_same_at_once_and_by_the_workers(
+    python_client: Client, monkeypatch: pytest.MonkeyPatch
+):
     answer = python_client.orbits(**SPRING, gamma_max=1e6, energy=True)
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
         row.name for row in SPRINGS["orbits"].variables if row.name not in ("flights", "event_complete")
     }
-    events = []
-    for i, periods in enumerate((1, 2)):
-        branch, found = branch_and_events(0.6, 0.05, periods)
-        view = answer.isel(branch=i)
-        assert (view.branch_bounces, view.branch_periods, view.points) == (1, periods, len(branch.gamma))
-        assert (view.violations.values[len(branch.gamma) :] == 255).all()
-        view = view.isel(point=slice(int(view.points)))
-        for name in ("gamma", "flight_time", "takeoff_phase", "elongation", "impact_velocity", "stable"):
-            assert view[name].values.tolist() == getattr(branch, name).tolist()
-        parts = np.stack([branch.multiplier.real, branch.multiplier.imag], axis=-1)
-        assert view.multipliers.values.tolist() == parts.tolist()
-        assert view.impact.values.tolist() == energy(0.6, 0.05, periods, branch.flight_time).impact.tolist()
-        events += list(zip(found.kind.tolist(), found.gamma.tolist(), strict=True))
-    assert list(zip(answer.event_kind.values, answer.event_gamma.values, strict=True)) == events
-    folds = answer.event_gamma[(answer.event_kind == "fold") & (answer.event_periods == 1)]
-    assert float(folds.min()) == pytest.approx(FOLD_060, abs=1e-9)
-    monkeypatch.setattr(orbits_view, "AT_ONCE_SECONDS", 0.0)  # by the workers
+    monkeypatch.setattr(orbits_view, "AT_ONCE_SECONDS", 0.0)
     again = python_client.orbits(**SPRING, gamma_max=1e6, energy=True, progress=False)
     xarray.testing.assert_identical(again, answer)
 
@@ -69,23 +52,6 @@ def test_long_branches_are_refused_before_they_are_computed(client: TestClient):
     assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
     assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
-
-
-def test_cycles_of_a_contact_are_followed_by_the_workers(python_client: Client):
-    """The folds are those of tests/unit/kernel/cycles/test_follow.py."""
-    answer = python_client.orbits(**SPRING, modes="1-1", gamma_max=1.2, model="soft", progress=False)
-    assert answer.attrs["model"] == "soft, restitution 0.01, penetration 0.001, adhesive"
-    assert answer.sizes["branch"] == 1
-    assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
-        row.name for row in SPRINGS["orbits"].variables if row.name not in (*BALANCE, "event_complete")
-    }
-    folds = answer.event_gamma.values[answer.event_kind.values == "fold"]
-    assert sorted(folds) == pytest.approx([0.553241345562, 0.915986309968], abs=1e-9)
-    assert float(answer.gamma.max()) <= 1.2
-    # an impact may be followed by a hop too short to count
-    assert answer.branch_bounces.values.tolist() == [1]
-    assert set(answer.flights.values.ravel().tolist()) == {1, 2}
-    assert not answer.violations.values.any()
 
 
 @for_each(("omega", "along", "turn"), [(0.6, "omega", 0.661091706414), (0.62, "xi", 0.065927841578)])
@@ -312,20 +278,6 @@ RAMP: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_thresholds_of_a_sweep_stand_beside_the_predictions(python_client: Client):
-    job = python_client.submit(RAMP).wait(progress=False)
-    found = job.threshold()
-    assert float(found.predicted_down[0]) == pytest.approx(FOLD_060, abs=1e-9)
-    assert float(found.predicted_jump[0]) == pytest.approx(JUMP_060, abs=1e-6)
-    assert found.cause.values.tolist()[0] == "fold (1,1)"
-    assert found.attrs["prediction"].startswith("rigid, restitution 0: the contact of the sweep")
-    for down, predicted, difference in zip(
-        found.down.values, found.predicted_down.values, found.difference.values, strict=True
-    ):
-        agrees = -1e-9 <= down - predicted <= 0.004 + 1e-9
-        assert (str(difference) == "") == (agrees or not np.isfinite(down - predicted))
-
-
 def test_a_ramp_that_begins_below_the_jump_follows_the_cycle_that_shrinks_to_rest(python_client: Client):
     short = RAMP | {"gamma": {"start": 0.7, "stop": 1.05, "num": 71}, "omega": [0.561], "xi": 0.042}
     found = python_client.submit(short).wait(progress=False).threshold()
@@ -355,17 +307,13 @@ def test_a_grid_of_springs_is_searched(python_client: Client):
         assert str(grid[name].values[1, 0]) == str(alone[name].values)
 
 
-def test_a_grid_of_springs_without_search_is_that_of_the_rule(python_client: Client):
-    grid = python_client.thresholds("0.6,0.62", "0.05", progress=False)
-    assert grid.down.values == pytest.approx(np.array([[FOLD_060, 0.507033469]]), abs=1e-9)
-    assert np.isnan(grid.missed.values).all()
-    assert "rotation" not in grid
-
-
-def test_a_grid_of_springs_is_drawn_as_lines_or_a_map(python_client: Client):
+def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(python_client: Client):
     few, many = Figure(), Figure()
     lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
     spring_threshold.draw_grid(lines, few)
+    assert lines.down.values[0] == pytest.approx([FOLD_060, 0.507033469], abs=1e-9)
+    assert np.isnan(lines.missed.values).all()
+    assert "rotation" not in lines
     drawn = [line.get_ydata() for line in few.axes[0].lines if line.get_label().startswith("$")]
     np.testing.assert_array_equal(drawn, lines.down)
     plane = python_client.thresholds("0.6,0.62", "0.1:0.2:6", progress=False)
@@ -417,10 +365,8 @@ def test_cycles_of_a_sweeps_cells_answer_where_the_branches_do_not(
     """As if no branch were searched: the cells are on the cycle that ends at the fold of zs (2,2)."""
     monkeypatch.setattr("worker.analysis.prediction.MAX_GRID", 100)
     monkeypatch.setattr("kernel.cycles.thresholds.PERIODS", 1)
-    for module in ("kernel.cycles.thresholds", "worker.analysis.prediction"):
-        monkeypatch.setattr(
-            f"{module}.closed_form", closed_form.__wrapped__
-        )  # or others would see its answer
+    for module in ("kernel.cycles.thresholds", "worker.analysis.prediction"):  # or others see its answer
+        monkeypatch.setattr(f"{module}.closed_form", closed_form.__wrapped__)
     on_the_cycle = RAMP["protocol"] | {"direction": "down", "start": {"periods": 2}}
     few = {"gamma": [2.3, 2.305], "omega": 1.26, "protocol": on_the_cycle, "settle": 400, "keep": 16}
     job = python_client.submit(RAMP | few).wait(progress=False)

@@ -21,9 +21,9 @@ from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
 from worker import store, studies
 from worker.store import backend
-from worker.sweep import SweepSpec, schema
+from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
-from worker.sweep.schema import MODE_ARRAYS, layout
+from worker.sweep.schema import layout
 from worker.sweep.task import run_chunk
 
 
@@ -76,43 +76,17 @@ def answer(name: str, sweep: Stored, max_points: int, fields: dict[str, Any]) ->
     return view.compute(sweep, query)
 
 
-def handmade(folder: Path, outcomes: np.ndarray, spec: SweepSpec, **others: np.ndarray) -> Stored:
-    """A store whose outcomes, (direction, xi, omega, gamma), are `outcomes`; other arrays are 0 or given."""
-    plan = make_plan(spec, chunk_shape=spec.shape[1:])
-    url = str(folder / "made.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    length = schema.sizes(spec)
-    for chunk in plan:
-        record = {
-            array.name: np.zeros((*chunk.shape, *(length[dim] for dim in array.extra_dims)), array.dtype)
-            for array in schema.arrays(spec)
-        }
-        given = {
-            name: values[chunk.direction].astype("u1")
-            for name, values in {**others, "outcome": outcomes}.items()
-        }
-        store.write_chunk(url, chunk, record | given)
-    return Stored(spec, url)
-
-
 # Lines
 
 
-@pytest.mark.parametrize(
-    ("values", "field", "rule"),
-    [
-        ({"omega": 1.01, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 1.01"),
-        ({"omega": 0.5}, "xi", "is required: the sweep has 2 values from 0.05 to 0.26"),
-        ({"omega": 0.5, "xi": 0.05, "gamma": 1.0}, "gamma", "leave it out"),
-        ({"omega": 0.5, "xi": 0.05, "direction": "up"}, "direction", "must be 'rest' in this sweep"),
-        (
-            {"omega": 0.5, "xi": 0.05, "start": 2.0, "stop": 1.0},
-            "start",
-            "must not be above stop, which is 1",
-        ),
-        ({"omega": 0.5, "xi": 0.05, "start": 99.0}, "start", "must not be above the axis, which ends at"),
-    ],
-)
+@for_each(("values", "field", "rule"), [
+    ({"omega": 1.01, "xi": 0.05}, "omega", "from 0.5 to 1.0, not 1.01"),
+    ({"omega": 0.5}, "xi", "is required: the sweep has 2 values from 0.05 to 0.26"),
+    ({"omega": 0.5, "xi": 0.05, "gamma": 1.0}, "gamma", "leave it out"),
+    ({"omega": 0.5, "xi": 0.05, "direction": "up"}, "direction", "must be 'rest' in this sweep"),
+    ({"omega": 0.5, "xi": 0.05, "start": 2.0, "stop": 1.0}, "start", "must not be above stop, which is 1"),
+    ({"omega": 0.5, "xi": 0.05, "start": 99.0}, "start", "must not be above the axis, which ends at"),
+])  # fmt: skip
 def test_a_parameter_outside_the_grid_is_named(
     sweep: Stored, values: dict[str, float], field: str, rule: str
 ):
@@ -122,20 +96,12 @@ def test_a_parameter_outside_the_grid_is_named(
     assert rule in str(error.value)
 
 
-def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(tmp_path: Path):
-    both = computed(tmp_path, spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}))
-    point = {"omega": 0.5, "xi": 0.05, "min_flight": 0}
-    found = diagram(both, **point)
+def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(both_ways: Stored):
+    found, down = diagram(both_ways, omega=0.6), diagram(both_ways, omega=0.6, direction="down")
     assert found.direction.values.tolist() == ["up", "down"]
-    down = store.read_slice(both.url, ("flight_time",), direction=1, xi=0, omega=0)["flight_time"]
-    np.testing.assert_array_equal(found.flight_time.sel(direction="down"), down)
-    np.testing.assert_array_equal(diagram(both, direction="down", **point).flight_time, down)
+    np.testing.assert_array_equal(found.flight_time.sel(direction="down"), down.flight_time)
     with pytest.raises(InvalidRequest, match="direction: must be 'up' or 'down' in this sweep"):
-        diagram(both, direction="rest", **point)
-    planes = modes(both, xi=0.05)
-    assert planes.outcome.dims == ("direction", "omega", "gamma")
-    for name in MODE_ARRAYS:
-        np.testing.assert_array_equal(planes[name][1], modes(both, xi=0.05, direction="down")[name])
+        diagram(both_ways, omega=0.6, direction="rest")
 
 
 def test_a_picture_is_what_is_shown(sweep: Stored):
@@ -176,17 +142,6 @@ def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Stored):
         np.testing.assert_array_equal(line[name], whole[name].where(shown))
     np.testing.assert_array_equal(line.flights, whole.flights)
     assert 0 < shown.sum() < np.isfinite(whole.flight_time).sum()
-
-
-def test_a_job_without_a_store_yet_is_all_missing(tmp_path: Path):
-    queued = Stored(spec(omega=0.5, xi=0.26), str(tmp_path / "nothing.zarr"))
-    line = diagram(queued)
-    assert not line.attrs["complete"]
-    assert not line.outcome.any()
-    assert line.flight_time.isnull().all()
-    assert (line.flight_time.shape, line.flights.dtype) == ((10, 8), np.int32)
-    missing = modes(queued)
-    assert (missing.bounces.shape, missing.attrs["complete"]) == ((1, 10), False)
 
 
 @pytest.fixture
@@ -294,13 +249,7 @@ def test_the_margin_of_stability_is_that_of_certified_cells(tmp_path: Path):
         modes(fixed, color="multiplier")
 
 
-@pytest.mark.parametrize(
-    ("protocol", "rule"),
-    [({"kind": "ramp", "axis": "gamma", "direction": "up"}, "ramped up only")],
-)
-def test_hysteresis_of_one_direction_is_refused(tmp_path: Path, protocol: dict[str, str], rule: str):
-    one = handmade(
-        tmp_path, np.full((1, 1, 3, 15), Outcome.AT_REST), SweepSpec(**BOTH_WAYS | {"protocol": protocol})
-    )
-    with pytest.raises(InvalidRequest, match=rule):
-        modes(one, hysteresis=True)
+def test_hysteresis_of_one_direction_is_refused(tmp_path: Path):
+    up = BOTH_WAYS["protocol"] | {"direction": "up"}
+    with pytest.raises(InvalidRequest, match="ramped up only"):
+        modes(Stored(SweepSpec(**BOTH_WAYS | {"protocol": up}), str(tmp_path / "none")), hysteresis=True)

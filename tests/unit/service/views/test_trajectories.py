@@ -1,7 +1,6 @@
 """One cell, sample by sample: what the kernel says at every phase, against runs of the kernel itself."""
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -9,39 +8,20 @@ import pytest
 import xarray
 from fastapi.testclient import TestClient
 from json_results import from_json
-from kernel_runs import Model, run_line, sample
-from scripted import Held
-from served import service
+from kernel_runs import Model, run, sample
 from tables import for_each
 
 from kernel.cycles.starts import cycles_at
 from kernel.params import Cell
-from kernel.trajectory import Trajectory
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
-
-
-@pytest.fixture(scope="module")
-def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    with service(tmp_path_factory.mktemp("data"), Held()) as client:
-        yield client
 
 
 def trajectory(client: TestClient, **changes: Any) -> xarray.Dataset:
     answer = client.post("/v1/trajectories", json={**CELL, **changes})
     assert answer.status_code == 200, answer.text
     return from_json(answer.content)
-
-
-def sampled(model: Model, restitution: float = 0.0, **sampling: Any) -> Trajectory:
-    ones = np.ones(1)
-    line = run_line(
-        2.3 * ones, 0.5 * ones, 0.26 * ones, model=model, restitution=restitution * ones,
-        penetration=1e-3 * ones, adhesive=True, carry=False, settle=0, observe=60, keep=1,
-    )  # fmt: skip
-    contact = {"restitution": restitution}
-    return sample(Cell(2.3, 0.5, 0.26), contact, line.end_state[0], model=model, **sampling)
 
 
 def test_a_start_on_a_cycle(client: TestClient):
@@ -64,25 +44,18 @@ def test_a_start_on_a_cycle(client: TestClient):
         assert path.cycle_violations.item() == 0
 
 
-@for_each(
-    ("changes", "field", "rule"),
-    [
-        (
-            {"start": {"periods": 2}},
-            "start",
-            "there is no stable cycle (1, 2) at gamma 0.7, omega 0.6, xi 0.05",
-        ),
-        ({"start": {"flight": 4.0}}, "start.flight", "is not a field here; did you mean 'flight_time'?"),
-        ({"start": {}, "settle": 10}, "settle", "must be 0 with a start on a cycle, not 10"),
-        ({"start": {"kind": "drop", "height": 0.0}}, "start.height", "must be above 0"),
-        ({"start": {"kind": "drop", "height": 1.0}, "settle": 3}, "settle", "must be 0 with a start, not 3"),
-    ],
-)
+@for_each(("changes", "field", "rule"), [
+    ({"start": {"periods": 2}}, "start", "there is no stable cycle (1, 2) at gamma 0.7, omega 0.6, xi 0.05"),
+    ({"start": {"flight": 4.0}}, "start.flight", "is not a field here; did you mean 'flight_time'?"),
+    ({"start": {}, "settle": 10}, "settle", "must be 0 with a start on a cycle, not 10"),
+    ({"start": {"kind": "drop", "height": 0.0}}, "start.height", "must be above 0"),
+    ({"start": {"kind": "drop", "height": 1.0}, "settle": 3}, "settle", "must be 0 with a start, not 3"),
+])  # fmt: skip
 def test_a_start_that_cannot_be_names_the_rule(
     client: TestClient, changes: dict[str, Any], field: str, rule: str
 ):
     cell = {"gamma": 0.7, "omega": 0.6, "xi": 0.05, "model": {"kind": "rigid"}}
-    answer = client.post("/v1/trajectories", json={**cell, **changes})
+    answer = client.post("/v1/trajectories", json=cell | changes)
     assert answer.status_code == 422, answer.text
     (problem,) = answer.json()["errors"]
     assert problem["field"] == field
@@ -110,21 +83,19 @@ def test_a_drop_falls_freely_until_it_lands(client: TestClient, model: dict[str,
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
     flights = trajectory(client, model=model, settle=settle)
     kind = Model[model["kind"].upper()]
-    ones = np.ones(1)
-    line = run_line(
-        2.3 * ones, 0.5 * ones, 0.26 * ones, model=kind, penetration=1e-3 * ones, adhesive=True, carry=False,
-        restitution=model.get("restitution", 0.01 if kind is Model.SOFT else 0.0) * ones,
-        settle=settle, observe=4, keep=64,
-    )  # fmt: skip
+    restitution = model.get("restitution", 0.01 if kind is Model.SOFT else 0.0)
+    line = run(2.3, 0.5, 0.26, kind, restitution=restitution, settle=settle, observe=4)
     n = int(line.flights[0])
     np.testing.assert_allclose(flights["flight_time"], line.flight_time[0, :n], atol=1e-9)
     np.testing.assert_allclose(flights["takeoff_phase"], line.takeoff_phase[0, :n], atol=1e-9)
 
 
-@pytest.mark.parametrize("model", [Model.RIGID, Model.SOFT], ids=["rigid", "soft"])
-def test_the_motion_obeys_newton(model: Model):
+@pytest.mark.parametrize(("model", "restitution"), [(Model.RIGID, 0.0), (Model.SOFT, 0.01)])
+def test_the_motion_obeys_newton(model: Model, restitution: float):
     """Twice differentiated, the samples give the forces back, wherever no phase begins or ends."""
-    path = sampled(model, restitution=0.01 if model is Model.SOFT else 0.0, periods=2, samples=4000)
+    contact = {"restitution": restitution}
+    line = run(2.3, 0.5, 0.26, model, **contact, settle=0, observe=60, keep=1)
+    path = sample(Cell(2.3, 0.5, 0.26), contact, line.end_state[0], model=model, periods=2, samples=4000)
     h = float(path.phase[1])
     z2, q = path.plate + path.gap, path.elongation
     z2_2, q_2 = (np.diff(x, 2) / h**2 for x in (z2, q))
