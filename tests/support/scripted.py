@@ -12,7 +12,6 @@ from typing import Any
 
 from studies import spec_of
 
-from worker import store
 from worker.executors.base import ClusterState, Executor
 from worker.executors.inline import Inline
 from worker.studies import run_task
@@ -126,12 +125,6 @@ class Held:
             return False
 
         wait_for(holds)
-
-    def told_to_stop(self) -> bool:
-        """Whether the stores of all held chunks have their cancel flag set."""
-        with self.lock:
-            urls = {url for *_, url in self.chunks}
-        return all(store.is_cancelled(url) for url in urls)
 
 
 class Counting:
