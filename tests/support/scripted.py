@@ -5,11 +5,12 @@ import socket
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any
 
+import pytest
 from studies import spec_of
 
 from worker.executors.base import ClusterState, Executor
@@ -187,6 +188,25 @@ def wait_for(
         waited = time.monotonic() - began
         assert waited < seconds, describe()
         time.sleep(min(max(0.005, 0.1 * waited), 0.05))
+
+
+@contextmanager
+def hanging(
+    patch: pytest.MonkeyPatch, owner: Any, name: str
+) -> Iterator[tuple[threading.Event, threading.Event]]:
+    """A function of `owner` waits in this block: when it is reached, and what lets it go on."""
+    reached, go_on, real = threading.Event(), threading.Event(), getattr(owner, name)
+
+    def wait(*given: Any) -> Any:
+        reached.set()
+        assert go_on.wait(DEADLINE)
+        return real(*given)
+
+    patch.setattr(owner, name, wait)
+    try:
+        yield reached, go_on
+    finally:
+        go_on.set()
 
 
 #: UDP's ports of the numbers that this process has taken: no other test gets the same.

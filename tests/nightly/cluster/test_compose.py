@@ -20,10 +20,7 @@ from studies import spec_of
 from service import local
 from service.client import BounceError, Client
 
-pytestmark = [
-    pytest.mark.timeout(5400),
-    pytest.mark.skipif(bool(missing()), reason=missing()),
-]
+pytestmark = [pytest.mark.timeout(5400), pytest.mark.skipif(bool(missing()), reason=missing())]
 
 #: What docker-compose.yml starts, and where each container is killed: at this share of the job's chunks.
 SERVICES = Counter(scheduler=1, worker=2, service=1)

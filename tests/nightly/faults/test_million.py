@@ -60,7 +60,6 @@ def test_a_job_of_a_million_chunks_survives_kills(tmp_path: Path, monkeypatch: p
         assert psutil.wait_procs(members, timeout=60)[1] == []
         with Ledger(service.data / "ledger.sqlite") as ledger, ledger.reading() as reading:
             record = reading.find(Path(job).name)
-            assert record is not None
             plan = study_of(spec).plan(spec, record.chunk_shape)
             assert len(plan) >= 900_000
             stored = set(reading.done_chunks(record, 0, len(plan)))

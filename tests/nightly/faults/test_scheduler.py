@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -45,9 +46,8 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
     tmp_path: Path, scheduler: tuple[Restarted, str], capsys: pytest.CaptureFixture[str]
 ):
     restarted, address = scheduler
-    executor = Dask(address, timeout=60)
-    counting = Counting(executor)
-    try:
+    with closing(Dask(address, timeout=60)) as executor:
+        counting = Counting(executor)
         wait_for(lambda: executor.workers() == 2, seconds=90)
         with running(tmp_path / "data", counting) as service:
             job = service.submit(costing(chunks=150, seconds=0.1))
@@ -91,29 +91,20 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             )
         assert noticed < 10
         assert max(thawed, back) < BACK
-    finally:
-        executor.close()
 
 
 @pytest.mark.timeout(600)
 def test_lost_schedulers_leave_no_connections(scheduler: tuple[Restarted, str]):
     """Without the client of one connection, six losses leave about ten."""
     restarted, address = scheduler
-    executor = Dask(address, timeout=60)
-
-    def connected() -> bool:
-        return executor.workers() == 2
-
-    try:
-        wait_for(connected, seconds=90)
+    with closing(Dask(address, timeout=60)) as executor:
+        wait_for(lambda: executor.workers() == 2, seconds=90)
         before = psutil.Process().num_fds()
         for _ in range(6):
             restarted.process.kill()
             wait_for(lambda: not executor.state().connected)
-            wait_for(connected, seconds=90)
+            wait_for(lambda: executor.workers() == 2, seconds=90)
         wait_for(lambda: psutil.Process().num_fds() <= before + 2, seconds=30)
-    finally:
-        executor.close()
 
 
 class NoRepetition:

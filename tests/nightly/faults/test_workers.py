@@ -4,6 +4,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -31,8 +32,7 @@ BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
 
 def test_cancelling_does_not_wait_for_compilation(tmp_path: Path):
     """The kernel of exponents is not compiled at the start of a worker, and takes many seconds."""
-    executor = Dask(workers=1, kernel_cache=tmp_path / "cache", memory=2 << 30)
-    try:
+    with closing(Dask(workers=1, kernel_cache=tmp_path / "cache", memory=2 << 30)) as executor:
         wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
         worker = pids(executor, 1)
         with running(tmp_path, executor) as service:
@@ -46,8 +46,6 @@ def test_cancelling_does_not_wait_for_compilation(tmp_path: Path):
             assert time.monotonic() - began < 5
             assert ended.chunks_done == 0
         assert pids(executor, 1) == worker  # which goes on compiling
-    finally:
-        executor.close()
 
 
 def test_a_chunk_that_holds_the_interpreter_is_ended_too(tmp_path: Path, fragile: Dask):

@@ -24,10 +24,7 @@ def test_code_from_the_cache_computes_what_code_just_compiled_does(tmp_path):
     """One worker compiles, another loads compiled code: both may compute parts of one job."""
     digests = [
         subprocess.run(
-            [sys.executable, "-c", KERNEL, str(tmp_path)],
-            stdout=subprocess.PIPE,
-            cwd=ROOT,
-            check=True,
+            [sys.executable, "-c", KERNEL, str(tmp_path)], stdout=subprocess.PIPE, cwd=ROOT, check=True
         ).stdout
         for _ in range(2)
     ]

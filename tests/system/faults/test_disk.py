@@ -17,6 +17,8 @@ from service.views import exports
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 
+LARGE = sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
+
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
@@ -27,9 +29,9 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_a_full_disk_fails_the_job_only(small_disk: Path):
     """Ledger and stores are on it; the space that the ledger reserves is enough to record the failure."""
-    held, spec = Held(capacity=1), sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
+    held = Held(capacity=1)
     with running(small_disk / "data", held, window=1) as service:
-        job = service.submit(spec)
+        job = service.submit(LARGE)
         wait_for(held.held)
         held.let_go()
         wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 1)
@@ -37,10 +39,9 @@ def test_a_full_disk_fails_the_job_only(small_disk: Path):
         fill(ballast)
         held.let_go()
         job = service.until(job, JobState.FAILED)
-        assert job.error is not None
         assert "No space left on device" in job.error
         ballast.unlink()
-        assert service.submit(spec).state is JobState.QUEUED
+        assert service.submit(LARGE).state is JobState.QUEUED
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         assert (service.outcomes(job) != Outcome.MISSING).all()
 
@@ -82,16 +83,15 @@ def test_a_disk_without_inodes_can_be_emptied(tmp_path: Path):
 
 
 def test_a_limit_on_file_sizes_fails_the_job_only(tmp_path: Path, cluster: Dask):
-    spec = sweep(gamma={"start": 2.0, "stop": 5.0, "num": 100}, keep=64, observe=200)
     run = cluster._connection.client.run
     with running(tmp_path, cluster) as service:
         run(resource.setrlimit, resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
         try:
-            job = service.until(service.submit(spec), JobState.FAILED)
+            job = service.until(service.submit(LARGE), JobState.FAILED)
         finally:
             run(resource.setrlimit, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
         assert "File too large" in (job.error or "")
-        job = service.until(service.submit(spec), JobState.DONE)
+        job = service.until(service.submit(LARGE), JobState.DONE)
         assert (service.outcomes(job) != Outcome.MISSING).all()
 
 

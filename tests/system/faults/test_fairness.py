@@ -17,11 +17,7 @@ from worker.sweep import SweepSpec
 
 #: Eight cells, each a chunk that takes a worker the better part of a minute.
 ENDLESS = {
-    "one by one": {
-        "model": {"kind": "soft"},
-        "exponents": 1,
-        "gamma": {"start": 2.0, "stop": 5.0, "num": 8},
-    },
+    "one by one": {"model": {"kind": "soft"}, "exponents": 1, "gamma": {"start": 2.0, "stop": 5.0, "num": 8}},
     "in lanes": {"model": {"kind": "rigid"}, "gamma": {"start": 2.0, "stop": 5.0, "num": 128}},
 }
 

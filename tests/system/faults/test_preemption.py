@@ -1,7 +1,8 @@
 """Workers that are told to leave: no chunk is blamed for it, and every job is computed to its end."""
 
 import signal
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -27,6 +28,17 @@ def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
     return noting_errors(monkeypatch)
 
 
+@contextmanager
+def serving(folder: Path, **limits: int) -> Iterator[tuple[Processes, Dask, Running]]:
+    """A Dask scheduler without workers, and a service on it that tries each chunk once."""
+    with (
+        dask_processes(folder / "dask") as processes,
+        closing(Dask(processes.address, timeout=60)) as executor,
+        running(folder / "data", executor, chunk_tries=1, **limits) as service,
+    ):
+        yield processes, executor, service
+
+
 def long_job(service: Running) -> JobRecord:
     """A job that takes longer than every test."""
     return service.submit(costing(gamma={"start": 3.0, "stop": 3.5, "num": 100}, settle=10_000_000))
@@ -40,39 +52,29 @@ def wait_until_computing(executor: Dask, processes: Processes) -> None:
 @pytest.mark.parametrize("whole", [True, False], ids=["all processes", "the nanny"])
 def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[BaseException], whole: bool):
     """A batch queue sends it to all processes of a job; an operator to the one that he started."""
-    with dask_processes(tmp_path / "dask") as processes:
-        executor = Dask(processes.address, timeout=60)
-        try:
-            with running(tmp_path / "data", executor, chunk_tries=1) as service:
-                job = long_job(service)
-                for _ in range(2):
-                    worker = processes.worker()
-                    wait_until_computing(executor, processes)
-                    for each in family(worker) if whole else family(worker)[:1]:
-                        with suppress(psutil.NoSuchProcess):  # the first has ended it
-                            each.send_signal(signal.SIGTERM)
-                    worker.wait(PATIENCE)
-                    wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
-                assert service.job(job).state is JobState.RUNNING
-        finally:
-            executor.close()
+    with serving(tmp_path) as (processes, executor, service):
+        job = long_job(service)
+        for _ in range(2):
+            worker = processes.worker()
+            wait_until_computing(executor, processes)
+            for each in family(worker) if whole else family(worker)[:1]:
+                with suppress(psutil.NoSuchProcess):  # the first has ended it
+                    each.send_signal(signal.SIGTERM)
+            worker.wait(PATIENCE)
+            wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
+        assert service.job(job).state is JobState.RUNNING
     assert any(isinstance(error, WorkerLeft) for error in errors)
     assert blamed(errors) == []
 
 
 @pytest.mark.timeout(500)
 def test_a_worker_that_is_killed_costs_a_try(tmp_path: Path, errors: list[BaseException]):
-    with dask_processes(tmp_path / "dask") as processes:
-        executor = Dask(processes.address, timeout=60)
-        try:
-            with running(tmp_path / "data", executor, chunk_tries=1, failed_chunks=1) as service:
-                job = long_job(service)
-                worker = processes.worker()
-                wait_until_computing(executor, processes)
-                for each in reversed(family(worker)):
-                    with suppress(psutil.NoSuchProcess):  # ended with another
-                        each.kill()
-                service.until(job, JobState.FAILED, seconds=PATIENCE)
-        finally:
-            executor.close()
+    with serving(tmp_path, failed_chunks=1) as (processes, executor, service):
+        job = long_job(service)
+        worker = processes.worker()
+        wait_until_computing(executor, processes)
+        for each in reversed(family(worker)):
+            with suppress(psutil.NoSuchProcess):  # ended with another
+                each.kill()
+        service.until(job, JobState.FAILED, seconds=PATIENCE)
     assert any(isinstance(error, WorkerDied) for error in errors)

@@ -7,6 +7,7 @@ Nothing is lost or orphaned, and only chunks that were in flight are computed ag
 import json
 import os
 import random
+import shutil
 import signal
 import socket
 import sqlite3
@@ -23,7 +24,7 @@ import pytest
 from paths import CACHE, ROOT
 from scripted import DEADLINE, wait_for
 from served import Serving, serving
-from stores import is_sound
+from stores import files, is_sound
 from studies import spec_of
 
 from worker.sweep import SweepSpec
@@ -70,8 +71,6 @@ class Lives:
         )
 
     def live(self, step: str = "-", times: int = 1, seconds: float | None = None) -> dict[str, Any]:
-        assert self._process.stdin
-        assert self._process.stdout
         self._process.stdin.write(json.dumps([step, times, seconds]) + "\n")
         self._process.stdin.flush()
         line = self._process.stdout.readline()
@@ -79,17 +78,10 @@ class Lives:
         return json.loads(line)
 
     def forget(self) -> None:
-        for path in sorted(self.folder.rglob("*"), reverse=True):
-            path.unlink() if path.is_file() else path.rmdir()
-
-    def files(self) -> dict[str, bytes]:
-        """The files of the stores."""
-        paths = (path for path in (self.folder / "stores").rglob("*") if path.is_file())
-        return {str(path.relative_to(self.folder)): path.read_bytes() for path in paths}
+        shutil.rmtree(self.folder)
 
     def end(self) -> None:
         with self._process:
-            assert self._process.stdin
             self._process.stdin.close()
 
 
@@ -104,7 +96,7 @@ def lives(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lives]:
 def calm(lives: Lives) -> dict[str, bytes]:
     """The files after a run without faults."""
     assert lives.live()["state"] == "done"
-    return lives.files()
+    return files(lives.folder / "stores")
 
 
 @pytest.mark.parametrize(("step", "times"), KILLS)
@@ -121,7 +113,7 @@ def test_killed_at_a_step_nothing_is_lost_and_little_is_computed_again(
         assert second["state"] == "done"
         again = set(first["chunks"]) & set(second["chunks"])
         assert len(again) <= 3  # one in work, one whose report was on its way, one not yet in the ledger
-    assert lives.files() == calm
+    assert files(lives.folder / "stores") == calm
 
 
 def test_killed_at_any_moment(lives: Lives, calm: dict[str, bytes]):
@@ -134,7 +126,7 @@ def test_killed_at_any_moment(lives: Lives, calm: dict[str, bytes]):
         computed = [chunk for life in ends for chunk in life["chunks"]]
         assert ends[-1]["state"] == "done"
         assert len(computed) - len(set(computed)) <= 2 * len(ends)
-        assert lives.files() == calm
+        assert files(lives.folder / "stores") == calm
 
 
 #: As a script starts background jobs.

@@ -22,22 +22,15 @@ def cluster() -> Iterator[Dask]:
         yield executor
 
 
-@pytest.mark.essential
-def test_the_cluster_computes_what_inline_computes(tmp_path: Path, cluster: Dask):
-    with computing(tmp_path / "inline") as here:
-        expected = get(here, f"{finished(here, FIGURE_2)}/diagram")
-    with service(tmp_path / "cluster", cluster) as there:
-        assert get(there, f"{finished(there, FIGURE_2)}/diagram") == expected
-        wait_for(lambda: there.get("/readyz").json() == {"status": "ok"})
-
-
 #: Whose model is chosen for each sweep.
 AUTO = FIGURE_2 | {"model": {"kind": "auto", "tolerance": 1e-3, "restitution": 0.0, "penetration": 1e-6}}
 
 
+@pytest.mark.essential
 def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path, cluster: Dask):
     with computing(tmp_path / "inline") as here, service(tmp_path / "cluster", cluster) as there:
         jobs = [get(client, finished(client, AUTO)) for client in (here, there)]
+        wait_for(lambda: there.get("/readyz").json() == {"status": "ok"})
     assert jobs[0]["choice"]["reason"] == jobs[1]["choice"]["reason"]
     stores = [store_in(tmp_path / name, jobs[0]["id"]) for name in ("inline", "cluster")]
     assert files(stores[0]) == files(stores[1])

@@ -144,7 +144,6 @@ def test_they_end_with_the_service_that_is_killed_and_not_with_ctrl_c(tmp_path: 
     command = [sys.executable, str(script), code]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=env) as process:
-        assert process.stdout
         child = psutil.Process(int(process.stdout.readline()))
         assert (blocks_interrupts(process.pid), blocks_interrupts(child.pid)) == (False, True)
         process.kill()

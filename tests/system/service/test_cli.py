@@ -10,10 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import click
+import httpx2
 import pytest
 import xarray
 from click.testing import CliRunner, Result
-from scripted import DEADLINE, TWO_LINES, Held, sweep
+from scripted import DEADLINE, TWO_LINES, Held, sweep, wait_for
 from served import computing_at, service_at
 
 from service import tokens
@@ -21,7 +22,6 @@ from service.cli import options
 from service.cli.main import main
 from service.client import BounceError, Client
 from service.client.client import DEFAULT_URL
-from service.ledger.ledger import Ledger
 from worker.executors.base import Executor
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
@@ -39,7 +39,7 @@ def serving(folder: Path, executor: Executor, **options: object):
     return service_at(folder / "data", executor, shutdown_seconds=1.0, **options)
 
 
-def bounce(*words: object, url: str = "http://127.0.0.1:9", **options: object) -> Result:
+def bounce(*words: object, url: str | None = "http://127.0.0.1:9", **options: object) -> Result:
     """Run a command line in this process; nothing but SystemExit may come out of it."""
     result = CliRunner(env={"BOUNCE_URL": url}).invoke(main, [str(word) for word in words], **options)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exc_info
@@ -174,34 +174,20 @@ def test_the_commands_use_the_clients_default_address():
     assert options.DEFAULT_URL == DEFAULT_URL
 
 
-def figure_1(*words: object, **environment: str | None) -> Result:
-    """Figure 1, which needs no sweep."""
-    environment = {"BOUNCE_URL": None, **environment}
-    result = CliRunner(env=environment).invoke(main, ["figure", "1", *map(str, words)])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exc_info
-    return result
-
-
-def is_picture(file: Path) -> bool:
-    return file.read_bytes().startswith(b"\x89PNG")
-
-
 @pytest.mark.parametrize("how", ["variable", "named folder"])
 def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str):
+    """Figure 1, which needs no sweep."""
     monkeypatch.chdir(tmp_path)
-    target = tmp_path / "picture.png"
-    with (
-        computing_at(tmp_path / "data", token="auto") as url,
-        tokens.recorder(tmp_path / "data") as record,
-    ):
+    data, target = tmp_path / "data", tmp_path / "picture.png"
+    with computing_at(data, token="auto") as url, tokens.recorder(data) as record:
         record(url)
-        token = json.loads((tmp_path / "data" / "token.json").read_text())["token"]
         if how == "variable":
-            result = figure_1("-o", target, BOUNCE_URL=url, BOUNCE_TOKEN=token)
+            monkeypatch.setenv("BOUNCE_TOKEN", json.loads((data / "token.json").read_text())["token"])
+            result = bounce("figure", 1, "-o", target, url=url)
         else:
-            result = figure_1("-o", target, "--data", tmp_path / "data", BOUNCE_URL="http://127.0.0.1:9")
+            result = bounce("figure", 1, "-o", target, "--data", data)
     assert result.exit_code == 0, result.stderr
-    assert is_picture(target)
+    assert target.read_bytes().startswith(b"\x89PNG")
     assert (result.stdout, f"{target}\n" in result.stderr) == ("", True)
     if "folder" in how:
         assert result.stderr.startswith(f"using the service at {url}, which runs on ")
@@ -236,12 +222,32 @@ def test_a_hangup_that_is_ignored_ends_nothing():
         assert (done.returncode, done.stdout) == ended
 
 
-def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
-    with Ledger(tmp_path / "ledger.sqlite"):
-        result = figure_1("--data", tmp_path, "-o", tmp_path / "figure-1.png")
-    assert result.exit_code == 1
-    assert "another service uses the data folder" in result.stderr
-    assert not (tmp_path / "figure-1.png").exists()
+@pytest.mark.parametrize(
+    ("workers", "stores", "mark", "said"),
+    [
+        (1, [], "ok", "is ready"),
+        (0, [], "!!", "is not ready: the Dask scheduler does not answer; jobs wait until it does"),
+        (1, ["f" * 32], "!!", "is ready: stores that the ledger does not know: 1"),
+    ],
+)
+def test_the_doctor_asks_the_service_on_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, stores: list[str], mark: str, said: str
+):
+    """Without the proxy that other requests may need."""
+    for store in stores:
+        (tmp_path / "stores" / f"{store}.zarr").mkdir(parents=True)
+    with service_at(tmp_path, Held(capacity=workers)) as url, tokens.recorder(tmp_path) as record:
+        record(url)
+        if stores:
+            wait_for(lambda: bool(httpx2.get(f"{url}/readyz", timeout=DEADLINE).json().get("notices")))
+        with monkeypatch.context() as patch:
+            for name in ("NO_PROXY", "no_proxy"):
+                patch.delenv(name, raising=False)
+            patch.setenv("http_proxy", "http://127.0.0.1:9")
+            answer = bounce("doctor", "--data", tmp_path, url=None)
+    (line,) = [line for line in answer.output.splitlines() if line[4:].startswith("service")]
+    assert line.startswith(f"{mark}  service           {url} {said}")
+    assert answer.exit_code == (mark == "!!")
 
 
 # Errors
@@ -253,16 +259,13 @@ def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
         (["list"], 1, "no service answers at"),
         (["list", "--url", "nonsense"], 1, "http://HOST:PORT"),
         (["status", "..%2f..%2fledger"], 1, "32 hex digits"),
-        (["bounce"], 2, "No such command"),
         (["submit", "missing.json"], 2, "does not exist"),
-        (["submit", "."], 2, "directory"),
         (["figure", "99"], 1, "unknown figure 99; choose one of: 1, 2, 3"),
         (["figure", "1", "--data", ".", "--url", "http://127.0.0.1:9"], 2, "give one"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
         (["modes", "0" * 32, "-o", "/nowhere/modes.csv"], 2, "no folder /nowhere"),
         (["list", "--state", "asleep"], 2, "asleep"),
         (["list", "--from", "yesterday"], 2, "must be a day such as 2026-11-25, not 'yesterday'"),
-        (["trajectory", "--gamma", "much"], 2, "not a valid"),
         (["orbits", "--direction", "up"], 2, "give --omega and --xi or the ID of a job"),
         (["threshold", "--omega", "1", "--xi", "0", "--effort", "10"], 2, "only with --search"),
         (["submit", __file__, "--budget", "5s", "--key", "a"], 2, "give one"),
@@ -299,7 +302,6 @@ def test_a_wait_that_is_interrupted_leaves_the_job_alone(tmp_path: Path):
         process = subprocess.Popen(
             [BOUNCE, "wait", job.id, "--url", url], stderr=subprocess.PIPE, text=True, start_new_session=True
         )
-        assert process.stderr
         process.stderr.readline()
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=DEADLINE)
@@ -312,9 +314,7 @@ def test_a_reader_that_goes_away_is_no_error(url: str, job: str):
     listing = subprocess.Popen(
         [BOUNCE, "list", "--url", url], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert listing.stdout
     listing.stdout.close()
-    assert listing.stderr
     errors = listing.stderr.read()
     listing.stderr.close()
     listing.wait(DEADLINE)

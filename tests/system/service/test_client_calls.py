@@ -153,11 +153,7 @@ def test_resume_and_delete(idle: Running):
 
 def test_follow_ends_with_the_job(tmp_path: Path):
     held = Held()
-    with (
-        service_at(tmp_path, held) as address,
-        Client(address) as client,
-        ThreadPoolExecutor(1) as pool,
-    ):
+    with service_at(tmp_path, held) as address, Client(address) as client, ThreadPoolExecutor(1) as pool:
         job = client.submit(sweep())
         wait_for(lambda: held.held() > 0)
         states = []
@@ -207,6 +203,13 @@ def test_trajectory(running: Running, tmp_path: Path):
         running, "trajectory", *words, "--drop", "0.5", "1", "--samples", "20", "--format", "json", "-o", "-"
     )
     assert from_json(text.encode()).identical(running.client.trajectory({**cell, "start": start}))
+
+
+def test_a_window_of_a_job_is_refined(running: Running):
+    job = running.client.submit(PLANE | {"protocol": {"kind": "rest"}}).wait(progress=False)
+    window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)
+    assert window.spec["parent"] == job.id != window.id
+    assert "computed" in window.modes()
 
 
 def test_pinned_jobs_are_listed_apart(idle: Running):

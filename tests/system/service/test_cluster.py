@@ -58,10 +58,7 @@ def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker:
 
 @pytest.mark.parametrize(
     ("function", "why"),
-    [
-        ("no_cluster", "RuntimeError: the queue is closed"),
-        ("missing", "no attribute 'missing'"),
-    ],
+    [("no_cluster", "RuntimeError: the queue is closed"), ("missing", "no attribute 'missing'")],
 )
 def test_a_function_that_fails_gives_the_reason(tmp_path: Path, maker: str, function: str, why: str):
     settings = read_settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")

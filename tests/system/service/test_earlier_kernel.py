@@ -17,12 +17,8 @@ from service.client import Client, Conflict
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return earlier_folder(tmp_path)
-
-
-def test_client_and_commands_follow_to_the_new_job(folder: Path):
+def test_client_and_commands_follow_to_the_new_job(tmp_path: Path):
+    folder = earlier_folder(tmp_path)
     with closing(Scripted()) as executor, service_at(folder, executor) as url, Client(url) as client:
 
         def bounce(*words: str) -> Any:

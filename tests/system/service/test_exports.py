@@ -1,28 +1,14 @@
 """Stores over HTTP, on a real connection."""
 
-from collections.abc import Iterator
+from contextlib import closing
 from http.client import HTTPConnection
 from pathlib import Path
 
 import httpx2
-import pytest
 import xarray
 from scripted import DEADLINE
 from served import RAMP, computing_at, finished
-
-
-def test_the_store_opens_over_http_with_plain_xarray(tmp_path: Path):
-    with (
-        computing_at(tmp_path) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-    ):
-        here = finished(client, RAMP)  # type: ignore[arg-type]
-        dataset = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
-        (url,) = tmp_path.rglob("*.zarr")
-        xarray.testing.assert_identical(dataset, xarray.open_zarr(url, chunks=None).load())
-        head = client.head(f"{here}/zarr/zarr.json")
-        assert (head.status_code, head.content) == (200, b"")
-
+from stores import store_in
 
 KEYS = {
     "zarr.json": 200,
@@ -42,33 +28,26 @@ KEYS = {
 }
 
 
-@pytest.fixture(scope="module")
-def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, str, str]]:
-    """A service's host and port, and two jobs of it that are done."""
-    with (
-        computing_at(tmp_path_factory.mktemp("data")) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-    ):
-        first, other = (finished(client, {**RAMP, "settle": settle}) for settle in (10, 11))  # type: ignore[arg-type]
-        yield address.removeprefix("http://"), first, other
-
-
 def on_the_wire(host: str, path: str) -> tuple[int, bytes]:
     """GET a path exactly as it is written, which no well-behaved client does."""
-    connection = HTTPConnection(host, timeout=DEADLINE)
-    connection.request("GET", path)
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
+    with closing(HTTPConnection(host, timeout=DEADLINE)) as connection:
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        return answer.status, answer.read()
 
 
-def test_only_the_stores_own_keys_lead_anywhere(wire: tuple[str, str, str]):
+def test_plain_xarray_opens_the_store_and_only_its_own_keys_lead_anywhere(tmp_path: Path):
     """Not to the ledger, and not to another job."""
-    host, here, other = wire
-    name = other.rsplit("/", 1)[1]
-    ways = (f"../{name}.zarr", f"%2e%2e/{name}.zarr", f"..%2f{name}.zarr", f"../../{name}/zarr")
-    for key, expected in (KEYS | {f"{way}/zarr.json": 404 for way in ways}).items():
-        status, content = on_the_wire(host, f"{here}/zarr/{key}")
-        assert status == expected, key
-        assert b"SQLite" not in content
+    with computing_at(tmp_path) as address, httpx2.Client(base_url=address, timeout=DEADLINE) as client:
+        here, other = (finished(client, RAMP | {"settle": settle}) for settle in (10, 11))
+        dataset = xarray.open_zarr(f"{address}{here}/zarr", chunks=None).load()
+        stored = xarray.open_zarr(store_in(tmp_path, here.rsplit("/", 1)[1]), chunks=None).load()
+        xarray.testing.assert_identical(dataset, stored)
+        head = client.head(f"{here}/zarr/zarr.json")
+        assert (head.status_code, head.content) == (200, b"")
+        name = other.rsplit("/", 1)[1]
+        ways = (f"../{name}.zarr", f"%2e%2e/{name}.zarr", f"..%2f{name}.zarr", f"../../{name}/zarr")
+        for key, expected in (KEYS | {f"{way}/zarr.json": 404 for way in ways}).items():
+            status, content = on_the_wire(address.removeprefix("http://"), f"{here}/zarr/{key}")
+            assert status == expected, key
+            assert b"SQLite" not in content

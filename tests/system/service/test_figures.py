@@ -13,11 +13,7 @@ import numpy as np
 import pytest
 from artists import difference
 from click.testing import CliRunner
-from drawn_figures import (
-    DRAWN,
-    SMALL_FIGURES,
-    Pictures,
-)
+from drawn_figures import DRAWN, SMALL_FIGURES, Pictures
 from paths import ROOT
 from scripted import DEADLINE
 from served import service_at

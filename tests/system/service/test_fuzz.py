@@ -44,12 +44,7 @@ CASES = int(os.environ.get("BOUNCE_FUZZ", "300"))
 
 DONE = spec_of((0.6, 1.4, 9), [0.5, 0.6], 0.26, ramp="both", window=(5, 5, 4))
 
-CHECKS = [
-    not_a_server_error,
-    status_code_conformance,
-    content_type_conformance,
-    response_schema_conformance,
-]
+CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 
 
 #: Sequences per seed: responses depend on earlier requests, and hypothesis gives up if the same draws lead to

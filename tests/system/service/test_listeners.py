@@ -124,10 +124,7 @@ def test_a_request_that_outlasts_the_shutdown_is_told_to_come_again(
 def test_of_more_listeners_than_allowed_the_others_are_told_to_come_again(tmp_path: Path):
     """At once, with the limit as it is: nobody waits for a place, and every place is free afterwards."""
     allowed = Settings().max_listeners
-    with (
-        service_at(tmp_path, Held()) as address,
-        httpx2.Client(base_url=address, timeout=DEADLINE) as client,
-    ):
+    with service_at(tmp_path, Held()) as address, httpx2.Client(base_url=address, timeout=DEADLINE) as client:
         here = client.post("/v1/jobs", json=SWEEP).headers["Location"]
 
         def statuses(count: int) -> Counter[int]:

@@ -3,14 +3,12 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 from click.testing import CliRunner
 from extras import EXTRAS
-from fastapi.testclient import TestClient
 from paths import CACHE, ROOT
 from scripted import DEADLINE
 from served import computing, finished
@@ -35,24 +33,19 @@ sys.meta_path.insert(0, Missing())
 
 
 @pytest.fixture
-def client(tmp_path: Path) -> Iterator[TestClient]:
-    with computing(tmp_path / "data") as client:
-        yield client
-
-
-@pytest.fixture
 def no_pyarrow(monkeypatch: pytest.MonkeyPatch) -> None:
     from service.views import encode
 
     monkeypatch.setattr(encode, "find_spec", lambda name: None if name == "pyarrow" else 1 / 0)
 
 
-def test_over_http_parquet_is_501_and_netcdf_is_there(client: TestClient, no_pyarrow: None):
-    job = finished(client, SWEEP)
-    answer = client.get(f"{job}/export", params={"format": "parquet"})
-    assert (answer.status_code, answer.json()["title"]) == (501, "Not Implemented")
-    assert 'pip install "bouncing-spring[parquet]"' in answer.json()["detail"]
-    assert client.get(f"{job}/export", params={"format": "nc"}).status_code == 200
+def test_over_http_parquet_is_501_and_netcdf_is_there(tmp_path: Path, no_pyarrow: None):
+    with computing(tmp_path) as client:
+        job = finished(client, SWEEP)
+        answer = client.get(f"{job}/export?format=parquet")
+        assert (answer.status_code, answer.json()["title"]) == (501, "Not Implemented")
+        assert 'pip install "bouncing-spring[parquet]"' in answer.json()["detail"]
+        assert client.get(f"{job}/export?format=nc").status_code == 200
 
 
 def test_a_run_says_so_before_it_computes(tmp_path: Path, no_pyarrow: None):

@@ -1,6 +1,7 @@
-"""Tokens of a service that runs."""
+"""Tokens of a service that runs, and its address."""
 
 import json
+import multiprocessing
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +19,8 @@ from service.client import Client, Unauthorized
 from service.server import embedded
 from service.settings import read_settings
 
-ANA, BEN = "ana-has-a-token-of-her-own", "ben-has-a-token-of-his-own"
+ANA = "ana-has-a-token-of-her-own"
+URL = "http://127.0.0.1:8123"
 
 
 def status_with(url: str, token: str) -> int:
@@ -54,6 +56,23 @@ def test_the_token_of_the_environment_is_there_again_after_the_service(
         assert "BOUNCE_TOKEN" not in os.environ
         assert status_with(url, ANA) == 200
     assert os.environ["BOUNCE_TOKEN"] == ANA
+
+
+def die_while_recorded(folder: Path) -> None:
+    with tokens.recorder(folder) as record:
+        record(URL)
+        os._exit(0)
+
+
+def test_the_address_that_a_killed_service_left_says_nothing(tmp_path: Path):
+    process = multiprocessing.get_context("spawn").Process(target=die_while_recorded, args=(tmp_path,))
+    process.start()
+    process.join()
+    assert (tmp_path / "service.json").exists()
+    assert tokens.find_service(tmp_path) is None
+    with tokens.recorder(tmp_path) as record:
+        record(URL)
+        assert tokens.find_service(tmp_path) == URL
 
 
 def test_the_processes_of_a_service_do_not_inherit_its_token(tmp_path: Path):

@@ -23,13 +23,7 @@ from served import computing_at, listening, service_at, settings_of
 from service.api.app import create_app
 from service.client import Client
 from service.server.logging import JsonLines, OncePerSecond, log_to_stderr
-from service.server.web_server import (
-    MOST_FILES,
-    OTHER_FILES,
-    connections_allowed,
-    limited,
-    raise_file_limit,
-)
+from service.server.web_server import MOST_FILES, OTHER_FILES, connections_allowed, limited, raise_file_limit
 
 MOST = 4
 
@@ -119,8 +113,6 @@ def test_more_connections_than_files_leave_some_for_jobs(tmp_path: Path, caplog:
     port = free_port()
     command = [sys.executable, "-c", IDLE, str(port), str(files)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as flood:
-        assert flood.stdin is not None
-        assert flood.stdout is not None
         assert flood.stdout.readline() == b"begins\n"
         resource.setrlimit(resource.RLIMIT_NOFILE, (files, before[1]))
         try:

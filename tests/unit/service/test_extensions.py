@@ -9,6 +9,7 @@ import pytest
 import xarray
 from scripted import wait_for
 from served import computing, finished, get
+from stores import files
 from toy_study import TOY
 
 from worker import studies
@@ -17,6 +18,7 @@ TOY_JOB = {"name": "divisors", "protocol": {"kind": "divisors"}, "last": 30}
 
 
 def test_a_kind_of_study_is_five_answers_and_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Damage to it is found and repaired, too."""
     monkeypatch.setitem(studies.STUDIES, "divisors", TOY)
     with computing(tmp_path) as client:
         cost = client.post("/v1/jobs", params={"validate_only": "true"}, json=TOY_JOB).json()
@@ -38,15 +40,9 @@ def test_a_kind_of_study_is_five_answers_and_a_row(tmp_path: Path, monkeypatch: 
         assert client.get(f"{here}/zarr/zarr.json").status_code == 200
         assert client.get(f"{here}/zarr/count/c.0").content == (url / "count" / "c.0").read_bytes()
 
-
-def test_damage_to_a_study_of_any_kind_is_found_and_repaired(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(studies.STUDIES, "divisors", TOY)
-    with computing(tmp_path) as client:
-        here = finished(client, TOY_JOB)
-    (url,) = tmp_path.rglob("*.zarr")
-    intact = {path: path.read_bytes() for path in url.rglob("*") if path.is_file()}
+    intact = files(url)
     (url / "count/c.2").write_bytes(b"damaged")
     (url / "number/zarr.json").unlink()
     with computing(tmp_path) as client:
         assert client.get(f"{here}/zarr/count/c.2").status_code == 503
-        wait_for(lambda: {path: path.read_bytes() for path in intact} == intact)
+        wait_for(lambda: files(url) == intact)

@@ -143,8 +143,5 @@ def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tm
 
 def test_two_processes_do_not_compute_the_same_store(tmp_path: Path):
     folder = local.partial_of(tmp_path / "a.zarr")
-    with (
-        local.computed(SPEC, folder, progress=False),
-        pytest.raises(DataFolderBusy),
-    ):
+    with local.computed(SPEC, folder, progress=False), pytest.raises(DataFolderBusy):
         local.run(SPEC, tmp_path / "a.zarr", progress=False)

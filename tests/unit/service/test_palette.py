@@ -15,7 +15,6 @@ APART = 12.0
 VISIONS = ("", "deutan", "tritan")
 #: Labels of most cells beside certified ones.
 UNCERTIFIED = ("at_rest", "aperiodic", "settling")
-SCHEMES = ("on white", "on dark")
 
 
 def seen(colour: str, vision: str) -> Color:
@@ -38,25 +37,14 @@ def neighbours(scheme: int) -> set[tuple[str, str]]:
     return pairs | {pair for shade in range(3) for pair in pairwise(shades[shade] for shades in periods)}
 
 
-@pytest.mark.parametrize("scheme", [0, 1], ids=SCHEMES)
-def test_neighbouring_classes_of_a_map_differ(scheme: int):
-    assert min((difference(*pair), *pair) for pair in neighbours(scheme))[0] >= APART
-
-
-@pytest.mark.parametrize("scheme", [0, 1], ids=SCHEMES)
-def test_margins_of_stability_differ_from_each_other_and_from_what_has_none(scheme: int):
-    margins = PALETTE["margins"]
-    pairs = {*combinations([*margins, *(PALETTE["labels"][name][scheme] for name in UNCERTIFIED)], 2)}
-    assert min((difference(*pair), *pair) for pair in pairs)[0] >= APART
-
-
-@pytest.mark.parametrize("scheme", [0, 1], ids=SCHEMES)
-def test_attractors_and_directions_differ(scheme: int):
+@pytest.mark.parametrize("scheme", [0, 1], ids=["on white", "on dark"])
+def test_classes_of_a_picture_differ(scheme: int):
+    """Neighbours on a map; margins of stability, and what has none; attractors; directions."""
+    margins = [*PALETTE["margins"], *(PALETTE["labels"][name][scheme] for name in UNCERTIFIED)]
     attractors = [pair[scheme] for pair in PALETTE["attractors"]]
     directions = [PALETTE["lines"][name][scheme] for name in ("rest", "up", "down")]
-    assert (
-        min(difference(*pair) for each in (attractors, directions) for pair in combinations(each, 2)) >= APART
-    )
+    pairs = neighbours(scheme).union(*(combinations(each, 2) for each in (margins, attractors, directions)))
+    assert min((difference(*pair), *pair) for pair in pairs)[0] >= APART
 
 
 def test_every_label_but_that_of_a_cycle_has_a_colour():

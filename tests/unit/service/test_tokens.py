@@ -70,7 +70,20 @@ def test_a_file_that_is_open_to_others_is_refused(tmp_path: Path, mode: int):
     assert Settings(token_file=file, private=False).access_tokens() == {ANA: "ana"}
 
 
-# The token that a service makes
+# The service of a data folder, and the token that it makes
+
+
+def test_its_address_is_found_while_it_runs_and_others_cannot_write_it(tmp_path: Path):
+    url, file = "http://127.0.0.1:8123", tmp_path / "service.json"
+    assert tokens.find_service(tmp_path) is None
+    with tokens.recorder(tmp_path) as record:
+        assert tokens.find_service(tmp_path) is None
+        record(url)
+        assert tokens.find_service(tmp_path) == url
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600
+        file.chmod(0o644)
+        assert tokens.find_service(tmp_path) is None
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

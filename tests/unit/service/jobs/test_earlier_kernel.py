@@ -3,7 +3,6 @@
 The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
 """
 
-import json
 import shutil
 import sqlite3
 from contextlib import closing
@@ -13,7 +12,6 @@ from typing import Any
 import pytest
 import xarray
 from earlier_kernel import IDS, earlier_folder
-from fastapi.testclient import TestClient
 from scripted import Held, Scripted, wait_for
 from served import get, read, service
 from stores import files
@@ -22,9 +20,6 @@ from kernel.params import KERNEL_VERSION
 from service.jobs.stores.adoption import adopt
 from service.jobs.stores.opening import open_ledger
 from service.settings import Settings
-from worker import store
-from worker.studies import from_stored
-from worker.sweep import SweepSpec
 
 DONE, INTERRUPTED = (f"/v1/jobs/{IDS[name]}" for name in ("done", "interrupted"))
 NOTICE = f"computed by kernel version 1; this release computes version {KERNEL_VERSION}"
@@ -39,26 +34,10 @@ def store_of(folder: Path, name: str) -> Path:
     return folder / "stores" / f"{IDS[name]}.zarr"
 
 
-def spec_of(folder: Path, name: str) -> SweepSpec:
-    return from_stored(json.dumps(store.read_attrs(str(store_of(folder, name)))["spec"]))
-
-
 def change_ledger(folder: Path, statement: str, *values: Any) -> None:
     """Change the ledger of the stopped service."""
     with closing(sqlite3.connect(folder / "ledger.sqlite")) as ledger, ledger:
         ledger.execute(statement, values)
-
-
-def flip(path: Path) -> None:
-    """Damage a file by one bit in its middle."""
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
-def successor(client: TestClient, path: str) -> str:
-    """The path of the job that replaces a job."""
-    return f"/v1/jobs/{get(client, path)['replaced_by']}"
 
 
 # At the start
@@ -89,7 +68,7 @@ def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
         assert old["error"] == f"{begun}: job {old['replaced_by']} computes all of it anew"
         assert old["notice"] == f"{NOTICE}, as job {old['replaced_by']}"
         assert read(client, f"{INTERRUPTED}/diagram", omega=0.56, xi=0.05, direction="up").bounces.any()
-        here = successor(client, INTERRUPTED)
+        here = f"/v1/jobs/{old['replaced_by']}"
         wait_for(lambda: bool(get(client, here)["state"] == "done"))
         new = get(client, here)
         assert (new["kernel_version"], new["notice"], new["replaced_by"]) == (KERNEL_VERSION, None, None)
@@ -171,7 +150,10 @@ def test_a_store_whose_specification_has_removed_fields_is_adopted(folder: Path,
 
 
 def test_a_damaged_chunk_is_given_up(folder: Path):
-    flip(store_of(folder, "done") / "flight_time/c.0.0.0.0.0")
+    chunk = store_of(folder, "done") / "flight_time/c.0.0.0.0.0"
+    content = bytearray(chunk.read_bytes())
+    content[len(content) // 2] ^= 1
+    chunk.write_bytes(content)
     with service(folder, Held(capacity=0)) as client:
         refused = client.get(f"{DONE}/diagram", params={"omega": 0.5})
         assert refused.status_code == 503

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from scripted import DEADLINE, Held, Script, Scripted, sweep, wait_for
+from scripted import DEADLINE, Held, Scripted, hanging, sweep, wait_for
 from served import Running, running
 
 from kernel.params import KERNEL_VERSION, Outcome
@@ -96,15 +96,7 @@ def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path)
 def test_a_job_deleted_while_its_store_is_made_leaves_none(
     tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
-    making, go_on, real = threading.Event(), threading.Event(), store.create
-
-    def create(*given: Any) -> None:
-        making.set()
-        assert go_on.wait(DEADLINE)
-        real(*given)
-
-    monkeypatch.setattr(store, "create", create)
-    with running(tmp_path, inline) as service:
+    with running(tmp_path, inline) as service, hanging(monkeypatch, store, "create") as (making, go_on):
         job = service.submit(sweep())
         assert making.wait(DEADLINE)
         service.manager.cancel(job.id)
@@ -120,40 +112,22 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
 # What goes wrong
 
 
-def run_script(
-    state: JobState, folder: Path, script: Script, spec: SweepSpec | None = None, **limits: int
-) -> tuple[JobRecord, list[int]]:
-    """A job whose chunks raise the errors of the script, once it is in `state`, and the chunks tried."""
-    with closing(Scripted(script)) as executor, running(folder, executor, **limits) as service:
-        return service.until(service.submit(spec or sweep()), state), executor.tried
-
-
 def test_a_chunk_that_fails_fails_the_job_and_the_rest_is_computed(tmp_path: Path):
     executor, spec = Scripted({1: [ValueError("the spring broke")] * 3}), sweep()
     with closing(executor), running(tmp_path, executor) as service:
         job = service.until(service.submit(spec), JobState.FAILED)
-        assert job.error is not None
         assert job.error.startswith("chunk 1 (rest, gamma 0.")
         assert job.error.endswith("omega 0.5, xi 0.26): ValueError: the spring broke (3 times)")
         assert job.chunks_done == job.chunks_total - 1
         with service.ledger.reading() as ledger:
             [failure] = ledger.failures(job)
         assert (failure.chunk, failure.tries, failure.place) == (1, 3, job.error.partition(":")[0])
-        assert failure.traceback is not None
         assert "raise self.script" in failure.traceback
         tried = len(executor.tried)
         job = service.until(service.submit(spec), JobState.DONE)
         with service.ledger.reading() as ledger:
             assert ledger.failures(job) == []
     assert executor.tried[tried:] == [1]
-
-
-def test_a_job_that_fails_everywhere_stops_trying(tmp_path: Path):
-    script: Script = {chunk: [ValueError("no")] for chunk in range(100)}
-    job, tried = run_script(JobState.FAILED, tmp_path, script, failed_chunks=3, chunk_tries=1)
-    assert len(tried) <= 3 + 2 < job.chunks_total
-    assert job.error is not None
-    assert "more chunks failed" in job.error
 
 
 @pytest.mark.parametrize("where", [".", ".partial", "outcome"])
@@ -192,8 +166,7 @@ def test_a_job_that_the_executor_refuses_fails_with_the_reason_and_others_are_do
         refused = service.submit(sweep("refused"))
         service.until(service.submit(sweep("taken", omega=0.7)), JobState.DONE)
         job = service.until(refused, JobState.FAILED)
-        assert job.error is not None
-        assert 'KeyError: "a field of the executor\'s own" (3 times)' in job.error.replace("'", "'")
+        assert 'KeyError: "a field of the executor\'s own" (3 times) (and 1 more chunk failed)' in job.error
         assert Refusing.refusals - executor.refusals == 3 * 2
         executor.refusals = 0
         service.until(service.submit(sweep("refused")), JobState.DONE)
@@ -250,7 +223,6 @@ def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline:
         place.parent.mkdir(parents=True)
         place.write_text("in the way")
         job = service.until(service.submit(spec), JobState.FAILED)
-        assert job.error is not None
         assert job.error.startswith("the job cannot start: ")
         service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
         place.unlink()

@@ -17,7 +17,6 @@ from worker.sweep import SweepSpec
 from worker.sweep.plan import make_plan
 
 SPEC = small()
-SOFT = small(model={"kind": "soft"})
 ADAPTIVE = small(refine={"by": "mode", "coarsest": 2}, xi=0.05)
 
 
@@ -30,12 +29,11 @@ def by_table(spec: SweepSpec) -> Cost:
     return study_of(spec).estimate(spec, make_plan(spec))
 
 
-def pace(spec: SweepSpec, seconds: float, expected: float, text: str | None = None) -> JobRecord:
+def pace(spec: SweepSpec, seconds: float, expected: float) -> JobRecord:
     """A job of which so many cells took `seconds` that the table says `expected`."""
     table = by_table(spec)
     cells: Any = expected * table.cells / table.core_seconds
-    job = record(spec, state=JobState.DONE, core_seconds=seconds, cells_timed=cells)
-    return job if text is None else replace(job, spec=text)
+    return record(spec, state=JobState.DONE, core_seconds=seconds, cells_timed=cells)
 
 
 def ratio(preparer: JobPreparer, *measured: JobRecord, spec: SweepSpec = SPEC) -> float | None:
@@ -52,10 +50,6 @@ def ratio(preparer: JobPreparer, *measured: JobRecord, spec: SweepSpec = SPEC) -
     return found.core_seconds / table.core_seconds
 
 
-def test_without_earlier_jobs_the_table_tells(preparer: JobPreparer):
-    assert ratio(preparer) is None
-
-
 def test_what_earlier_jobs_took_over_what_the_table_says_is_the_speed(preparer: JobPreparer):
     assert ratio(preparer, pace(SPEC, 3.0, 1.5)) == pytest.approx(2.0)
     assert ratio(preparer, pace(SPEC, 3.0, 1.0), pace(small(omega=0.9), 1.0, 7.0)) == pytest.approx(0.5)
@@ -63,13 +57,9 @@ def test_what_earlier_jobs_took_over_what_the_table_says_is_the_speed(preparer: 
     assert ratio(preparer, pace(SPEC, 3.0, 1.0), spec=small(settle="auto", until=640)) == pytest.approx(3.0)
 
 
-def test_jobs_of_another_model_and_adaptive_maps_say_nothing(preparer: JobPreparer):
-    assert ratio(preparer, pace(SOFT, 3.0, 1.0)) is None
-    assert ratio(preparer, pace(ADAPTIVE, 3.0, 1.0)) is None
-    assert ratio(preparer, pace(ADAPTIVE, 3.0, 1.0), pace(SPEC, 1.0, 4.0)) == pytest.approx(0.25)
-
-
-def test_a_job_that_this_version_does_not_accept_says_nothing(preparer: JobPreparer):
-    old = pace(SPEC, 3.0, 1.0, text='{"gamma": 1.0}')
-    assert ratio(preparer, old) is None
-    assert ratio(preparer, old, pace(small(omega=0.9), 2.0, 1.0)) == pytest.approx(2.0)
+def test_the_table_tells_where_no_job_of_this_model_does(preparer: JobPreparer):
+    """An adaptive map says nothing, nor does a job that this version does not accept."""
+    soft, adaptive = pace(small(model={"kind": "soft"}), 3.0, 1.0), pace(ADAPTIVE, 3.0, 1.0)
+    old = replace(pace(SPEC, 3.0, 1.0), spec='{"gamma": 1.0}')
+    assert [ratio(preparer, *jobs) for jobs in ((), (soft,), (adaptive,), (old,))] == [None] * 4
+    assert ratio(preparer, soft, adaptive, old, pace(SPEC, 1.0, 4.0)) == pytest.approx(0.25)

@@ -2,17 +2,15 @@
 
 import json
 import threading
-from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, wait_for
-from served import service
+from served import computing, service
 from stores import store_in
 
 from worker import store
@@ -64,13 +62,6 @@ def ended(client: TestClient, spec: dict[str, Any] = SWEEP) -> dict[str, Any]:
     return client.get(here).json()
 
 
-@pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestClient, dict[str, Any], Path]]:
-    folder = tmp_path_factory.mktemp("auto")
-    with closing(Inline()) as executor, service(folder, executor) as client:
-        yield client, ended(client), folder
-
-
 def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path):
     undecided = Undecided()
     with service(tmp_path, undecided, active_jobs=1) as client:
@@ -81,45 +72,28 @@ def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path)
         wait_for(lambda: client.get(other).json()["state"] == "running")
 
 
-def test_the_job_shows_what_was_chosen_and_why(done):
-    _, job, _ = done
-    assert job["state"] == "done", job["error"]
+def test_job_and_store_show_the_choice_and_have_the_numbers_of_the_model_chosen(tmp_path: Path):
+    with computing(tmp_path) as client:
+        job = ended(client)
+        rigid = ended(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}})
     choice = job["choice"]
-    assert choice["model"] == "rigid"
-    assert choice["reason"].startswith(
-        "rigid: the cheapest within 0.001 rad of exact soft in 95% of the cells"
-    )
+    assert (job["state"], choice["model"], rigid["choice"]) == ("done", "rigid", None)
+    assert choice["reason"].startswith("rigid: the cheapest within 0.001 rad of exact soft in 95% of the")
     assert [row["model"] for row in choice["table"]] == ["ball", "rigid", "soft"]
     assert all(row["measured"] > 0.0 and row["cells"] == 46 for row in choice["table"])
-    assert job["spec"]["model"]["kind"] == "auto"
-
-
-def test_the_store_has_the_choice_without_timings(done):
-    _, job, folder = done
-    attributes = store.read_attrs(str(store_in(folder, job["id"])))
-    assert attributes["model"] == "rigid"
-    assert attributes["choice"]["reason"] == job["choice"]["reason"]
-    assert "measured" not in json.dumps(attributes["choice"])
-    assert attributes["spec"]["model"]["kind"] == "auto"
-
-
-def test_its_numbers_are_those_of_the_model_chosen(done):
-    client, job, folder = done
-    rigid = ended(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}})
-    one, two = (store.read_slice(str(store_in(folder, each["id"])), FIELDS) for each in (job, rigid))
+    auto, other = (str(store_in(tmp_path, each["id"])) for each in (job, rigid))
+    attributes = store.read_attrs(auto)
+    assert (attributes["model"], attributes["choice"]["reason"]) == ("rigid", choice["reason"])
+    assert "measured" not in json.dumps(attributes["choice"])  # no timings
+    assert attributes["spec"]["model"]["kind"] == job["spec"]["model"]["kind"] == "auto"
+    one, two = (store.read_slice(url, FIELDS) for url in (auto, other))
     assert one["flight_time"].shape == (1, 1, 1, 46, 8)
     for name in FIELDS:
         np.testing.assert_array_equal(one[name], two[name])
-    assert rigid["choice"] is None
 
 
 def test_a_choice_whose_worker_or_cluster_is_lost_is_made_again(tmp_path: Path):
-    errors = (
-        WorkerDied("out of memory"),
-        ClusterLost("no scheduler"),
-        ClusterLost("none"),
-        WorkerDied("again"),
-    )
+    errors = WorkerDied("no memory"), ClusterLost("no scheduler"), ClusterLost("none"), WorkerDied("again")
     with closing(Unlucky(*errors)) as executor, service(tmp_path, executor) as client:
         assert ended(client)["choice"]["model"] == "rigid"
     assert executor.calls == 5

@@ -34,9 +34,18 @@ class Pool:
 TWO = [(print,), (print,)]
 
 
-def test_a_request_that_gives_up_waiting_loses_nothing():
+def started(**options: Any) -> tuple[Pool, OnDemandCache]:
     pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
+    return pool, OnDemandCache(pool, **{"timeout": 0.01, **options})
+
+
+def pending(cache: OnDemandCache, key: str, parts: list[Any]) -> None:
+    with pytest.raises(Pending):
+        cache.get(key, parts)
+
+
+def test_a_request_that_gives_up_waiting_loses_nothing():
+    pool, cache = started()
     for number in (0, 1):
         with pytest.raises(Pending) as pending:
             cache.get("key", TWO)
@@ -50,28 +59,23 @@ def test_a_result_that_nobody_asks_for_any_more_is_given_up(monkeypatch: pytest.
     now = [100.0]
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(on_demand, "LOOK_SECONDS", 0.01)
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.05, abandoned=4.0)
+    pool, cache = started(timeout=0.05, abandoned=4.0)
     for _ in range(3):
-        with pytest.raises(Pending):
-            cache.get("key", TWO)
+        pending(cache, "key", TWO)
         now[0] += 3.0
     assert len(pool.futures) == 2
     now[0] += 2.0
     wait_for(lambda: all(future.cancelled() for future in pool.futures))
-    with pytest.raises(Pending):
-        cache.get("key", TWO)
+    pending(cache, "key", TWO)
     assert len(pool.futures) == 4
     cache.close()
 
 
 def test_a_result_is_given_up_when_the_last_client_leaves():
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
+    pool, cache = started()
     clients = [Asker(1), Asker(2)]
     for client in clients:
-        with pytest.raises(Pending):
-            client.run(lambda: cache.get("key", TWO))
+        client.run(lambda: pending(cache, "key", TWO))
     for client in clients:
         assert not any(future.cancelled() for future in pool.futures)
         client.leave()
@@ -85,73 +89,52 @@ def test_a_result_is_given_up_when_the_last_client_leaves():
     ("error", "raised"), [(WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)]
 )
 def test_a_result_that_was_lost_or_failed_is_computed_again(error: Exception, raised: type[Exception]):
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-    with pytest.raises(Pending):
-        cache.get("key", TWO)
+    pool, cache = started()
+    pending(cache, "key", TWO)
     pool.futures[0].set_exception(error)
     pool.futures[1].set_result(1)
     with pytest.raises(raised):
         cache.get("key", TWO)
-    with pytest.raises(Pending):
-        cache.get("key", TWO)
+    pending(cache, "key", TWO)
     assert len(pool.futures) == 4
 
 
 def test_the_number_of_results_being_computed_is_limited():
-    pool = Pool()
-    cache = OnDemandCache(pool, max_pending=2, timeout=0.01)
+    pool, cache = started(max_pending=2)
     for key in ("one", "two"):
-        with pytest.raises(Pending):
-            cache.get(key, TWO)
+        pending(cache, key, TWO)
     with pytest.raises(Busy, match=r"^2 results are being computed already"):
         cache.get("three", TWO)
     for future in pool.futures:
         future.set_result(None)
-    with pytest.raises(Pending):
-        cache.get("three", TWO)
+    pending(cache, "three", TWO)
 
 
 def test_only_the_results_requested_last_are_kept(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(on_demand, "MAX_RESULTS", 2)
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
+    pool, cache = started()
     for key in ("one", "two", "three"):
-        with pytest.raises(Pending):
-            cache.get(key, TWO)
+        pending(cache, key, TWO)
         for future in pool.futures[-2:]:
             future.set_result(key)
     assert cache.get("two", TWO) == ["two", "two"]
-    with pytest.raises(Pending):
-        cache.get("one", TWO)
+    pending(cache, "one", TWO)
     assert len(pool.futures) == 8
 
 
 def test_without_workers_nothing_is_computed(monkeypatch: pytest.MonkeyPatch):
-    pool = Pool()
+    pool, cache = started()
     monkeypatch.setattr(pool, "call", Mock(side_effect=ClusterLost("gone")))
     with pytest.raises(NotComputed, match=r"^no worker has computed it \(gone\): repeat the request$"):
-        OnDemandCache(pool).get("key", TWO)
-
-
-def test_closing_cancels_what_is_being_computed():
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-    with pytest.raises(Pending):
         cache.get("key", TWO)
-    cache.close()
-    assert all(future.cancelled() for future in pool.futures)
 
 
 @pytest.mark.parametrize(("workers", "share"), [(0, 1), (5, 2), (8, 4)])
 def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers: int, share: int):
-    pool = Pool()
+    pool, cache = started()
     monkeypatch.setattr(pool, "workers", lambda: workers)
-    cache = OnDemandCache(pool, timeout=0.01)
-    with pytest.raises(Pending):
-        cache.get("many", [(print,)] * 9)
-    with pytest.raises(Pending):
-        cache.get("more", TWO)
+    pending(cache, "many", [(print,)] * 9)
+    pending(cache, "more", TWO)
     assert len(pool.futures) == share
     for number in range(11):
         pool.futures[number].set_result(number)
@@ -166,10 +149,8 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
     for name, value in {"LOOK_SECONDS": 0.01, "SHARE": 1 / 8, "CREDIT_SECONDS": 10.0}.items():
         monkeypatch.setattr(on_demand, name, value)
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01, jobs_compute=lambda: jobs[0])
-    with pytest.raises(Pending):
-        cache.get("many", [(print,)] * 16)
+    pool, cache = started(jobs_compute=lambda: jobs[0])
+    pending(cache, "many", [(print,)] * 16)
     assert len(pool.futures) == 4
     now[0] += 5.0
     for number in range(4):
@@ -192,22 +173,16 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_part_that_fails_leaves_its_turn_to_the_next():
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-    with pytest.raises(Pending):
-        cache.get("many", [(print,)] * 6)
+    pool, cache = started()
+    pending(cache, "many", [(print,)] * 6)
     pool.futures[0].set_exception(ValueError())
     pool.futures[1].cancel()
     assert len(pool.futures) == 6
 
 
-def test_no_call_begins_after_the_end():
-    pool = Pool()
-    cache = OnDemandCache(pool, timeout=0.01)
-    with pytest.raises(Pending):
-        cache.get("many", [(print,)] * 6)
-    begun = len(pool.futures)
+def test_the_end_cancels_what_is_being_computed_and_no_call_begins_after_it():
+    pool, cache = started()
+    pending(cache, "many", [(print,)] * 6)
     cache.close()
-    with pytest.raises(Pending):
-        cache.get("late", TWO)
-    assert len(pool.futures) == begun
+    pending(cache, "late", TWO)
+    assert [future.cancelled() for future in pool.futures] == [True] * 4

@@ -1,70 +1,23 @@
-"""A job's specification is parsed once and its plan made once, however many requests need them."""
+"""A job is prepared once, however many requests need it, and only as what its id says."""
 
 import json
-import threading
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from ledgers import record
 from scripted import small
-from served import computing, finished, get
 
 from kernel.params import KERNEL_VERSION
 from service.errors import LedgerUnusable
 from service.jobs import prepare
 from service.jobs.prepare import JobPreparer, PreparedJob
 from service.settings import Settings
-from worker import store, studies
+from worker import store
 from worker.spec.axes import Range
-from worker.sweep import SweepSpec
+from worker.studies import from_stored
 from worker.sweep.plan import make_plan
-
-
-@pytest.fixture
-def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
-    """Counts specifications parsed and plans made outside the tasks of an Inline executor."""
-    count: Counter[str] = Counter()
-
-    def counted(name: str, real: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any, **options: Any) -> Any:
-            count[name] += not threading.current_thread().name.startswith("chunks")
-            return real(*arguments, **options)
-
-        return call
-
-    sweep = replace(
-        studies.SWEEP, parse=counted("parsed", SweepSpec.parse), plan=counted("planned", make_plan)
-    )
-    monkeypatch.setattr(studies, "SWEEP", sweep)
-    for kind in ("rest", "ramp"):
-        monkeypatch.setitem(studies.STUDIES, kind, sweep)
-    return count
-
-
-def test_from_submission_to_export_a_job_is_prepared_once(tmp_path: Path, calls: Counter[str]):
-    with computing(tmp_path) as client:
-        here = finished(client, small().as_submitted())
-        for _ in range(3):
-            get(client, here)
-        for style in ("json", "csv", "svg"):
-            line = {"along": "gamma", "omega": 0.5, "xi": 0.26, "format": style}
-            assert client.get(f"{here}/diagram", params=line).status_code == 200
-        get(client, f"{here}/threshold", xi=0.26)
-        assert client.get(f"{here}/threshold", params={"xi": 0.26, "tolerance": 0.01}).status_code in (
-            200,
-            202,
-        )
-        get(client, f"{here}/modes", xi=0.26)
-        for kind in ("nc", "parquet"):
-            assert client.get(f"{here}/export", params={"format": kind}).status_code == 200
-        assert calls == {"parsed": 2, "planned": 2}  # by the submission, and once for all others
-
-
-# The preparer alone
 
 
 @pytest.fixture
@@ -72,22 +25,15 @@ def preparer(tmp_path: Path) -> JobPreparer:
     return JobPreparer(Settings(data=tmp_path))
 
 
-@pytest.mark.parametrize(("limit", "value"), [("MAX_JOBS", 3)])
-def test_only_the_jobs_used_last_are_kept(
-    preparer: JobPreparer, calls: Counter[str], monkeypatch: pytest.MonkeyPatch, limit: str, value: int
+def test_a_job_is_parsed_once_while_it_is_one_of_those_used_last(
+    preparer: JobPreparer, monkeypatch: pytest.MonkeyPatch
 ):
-    jobs = [replace(record(small()), seq=seq, spec=record(small()).spec.ljust(400)) for seq in range(5)]
-    assert {len(job.spec) for job in jobs} == {400}
-    monkeypatch.setattr(prepare, limit, value)
-    for job in jobs[:3]:
-        preparer.prepare(job)
-    preparer.prepare(jobs[0])  # now the one used last
-    preparer.prepare(jobs[3])
-    assert calls["parsed"] == 4
-    preparer.prepare(jobs[0])
-    assert calls["parsed"] == 4
-    preparer.prepare(jobs[1])
-    assert calls["parsed"] == 5
+    parse = Mock(side_effect=from_stored)
+    monkeypatch.setattr(prepare, "from_stored", parse)
+    monkeypatch.setattr(prepare, "MAX_JOBS", 3)
+    for seq, parsed in ((0, 1), (1, 2), (2, 3), (0, 3), (3, 4), (0, 4), (1, 5)):
+        preparer.prepare(record(small(), seq=seq))
+        assert parse.call_count == parsed
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,7 @@ from concurrent.futures import CancelledError
 import pytest
 from tables import for_each
 
-from service.jobs.retry import (
-    MAX_COLLATERAL_LOSSES,
-    Action,
-    Decision,
-    History,
-    RetryPolicy,
-)
+from service.jobs.retry import MAX_COLLATERAL_LOSSES, Action, Decision, History, RetryPolicy
 from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
 from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
 from worker.study import ChunkCancelled, PredecessorMissing
@@ -36,13 +30,9 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
 
 @for_each(("error", "history", "action"), [
     # cancelled: nothing is counted, whatever happened before
-    (ChunkCancelled("cancelled"), FRESH, Action.REQUEUE),
     (ChunkCancelled("cancelled"), LAST_TRY, Action.REQUEUE),
-    (ChunkCancelled("cancelled"), STOPPING, Action.REQUEUE),
-    (CancelledError(), FRESH, Action.REQUEUE),
     (CancelledError(), FATAL, Action.REQUEUE),
     # the cluster is gone
-    (ClusterLost("gone"), FRESH, Action.PAUSE),
     (ClusterLost("gone"), LAST_TRY, Action.PAUSE),
     (ClusterLost("gone"), STOPPING, Action.PAUSE),
     # the bucket does not answer
@@ -51,7 +41,6 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     *((kind("no"), history, Action.CONTINUE) for kind in (WorkerLeft, WorkerRefused)
       for history in (FRESH, LAST_TRY, LAST_LOSS, FATAL, STOPPING)),
     # the worker died on another chunk
-    (WorkerLost("gone"), FRESH, Action.COLLATERAL),
     (WorkerLost("gone"), LAST_TRY, Action.COLLATERAL),
     (WorkerLost("gone"), STOPPING, Action.COLLATERAL),
     (WorkerLost("gone"), LOSSES_LEFT, Action.COLLATERAL),
@@ -62,10 +51,9 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (ValueError("no"), SECOND_TRY, Action.RETRY),
     (ValueError("no"), LAST_TRY, Action.GIVE_UP),
     (ValueError("no"), STOPPING, Action.REQUEUE),
-    (MemoryError(), FRESH, Action.RETRY),
     (WorkerDied("gone"), FRESH, Action.RETRY),
-    (WorkerDied("gone"), LAST_TRY, Action.GIVE_UP),
     (StoreMissing("no store"), FRESH, Action.RETRY),
+    (WorkerDied("gone"), LAST_TRY, Action.GIVE_UP),
     # no chunk of the job can be stored
     (DISK_FULL, FRESH, Action.FATAL),
     (OSError(errno.EDQUOT, "quota"), FRESH, Action.FATAL),
@@ -76,7 +64,6 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (DISK_FULL, STOPPING, Action.REQUEUE),
     (INTERRUPTED, FRESH, Action.RETRY),
     (INTERRUPTED, LAST_TRY, Action.GIVE_UP),
-    (OSError("no number"), FRESH, Action.RETRY),
     (READ_ONLY, FRESH, Action.RETRY),  # perhaps of one machine alone
     (ValueError("no"), FATAL, Action.FATAL),
 ])  # fmt: skip

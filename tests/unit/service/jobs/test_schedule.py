@@ -135,30 +135,21 @@ def test_every_job_is_done_the_smallest_first_and_no_limit_is_passed(
 # Rotation
 
 
-def turns(rotation: Rotation, number: int) -> str:
-    """The next jobs to have a turn."""
-    taken = []
-    for _ in range(number):
-        taken.append(next(iter(rotation)))
-        rotation.begin_turn(taken[-1], 0.0)
-    return "".join(taken)
-
-
-def rotation_of(jobs: str, owner: str = "") -> Rotation:
-    rotation = Rotation(1.0)
-    rotation.update(dict.fromkeys(jobs, owner))
-    return rotation
-
-
 def test_owners_come_in_turn_however_many_jobs_they_have():
-    rotation = rotation_of("abcdefgh", "one")
-    rotation.update(dict.fromkeys("abcdefgh", "one") | dict.fromkeys("xy", "two"))
-    assert turns(rotation, 6) == "axbycx"
+    rotation, taken = Rotation(1.0), ""
+    owners = dict.fromkeys("abcdefgh", "one")
+    rotation.update(owners)
+    rotation.update(owners | dict.fromkeys("xy", "two"))
+    for _ in range(6):
+        taken += next(iter(rotation))
+        rotation.begin_turn(taken[-1], 0.0)
+    assert taken == "axbycx"
 
 
 def test_turns_take_their_share_of_the_time_and_no_more():
     """Chunks outside of the rotation take 0.3 s each, turns are estimated at 0.5 s and take 0.8 s."""
-    rotation, outside, taken = rotation_of("ab"), 0.0, 0.0
+    rotation, outside, taken = Rotation(1.0), 0.0, 0.0
+    rotation.update({"a": "", "b": ""})
     for _ in range(1000):
         if rotation.is_due(0.5):
             rotation.begin_turn("a", 0.5)

@@ -11,7 +11,7 @@ from ledgers import accept, current, reports
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger import backup
 from service.ledger.ledger import Ledger
-from service.ledger.model import Failure, JobRecord, JobState
+from service.ledger.model import JobRecord
 
 
 @pytest.fixture
@@ -20,22 +20,10 @@ def ledger(tmp_path: Path) -> Iterator[Ledger]:
         yield ledger
 
 
-def run(ledger: Ledger, job: JobRecord, now: float = 200.0) -> JobRecord:
-    with ledger.writing() as writing:
-        writing.run(job, now)
-    return current(ledger, job.id)
-
-
 def mark_and_interrupt(ledger: Ledger, job: JobRecord) -> None:
     with ledger.writing() as writing:
         writing.mark_done(job, reports(0))
         raise KeyboardInterrupt
-
-
-def test_the_same_job_is_not_accepted_twice(ledger: Ledger):
-    accept(ledger)
-    with pytest.raises(sqlite3.IntegrityError):
-        accept(ledger)
 
 
 def test_a_transaction_is_all_or_nothing(ledger: Ledger):
@@ -76,38 +64,6 @@ def test_a_newer_ledger_is_left_alone(tmp_path: Path):
             Ledger(path)
 
 
-def test_what_is_no_ledger_is_left_alone(tmp_path: Path):
-    path = tmp_path / "ledger.sqlite"
-    path.write_bytes(b"not a database, and not one line of it " * 99)
-    for _ in range(2):  # the folder is unlocked, too
-        with pytest.raises(LedgerUnusable, match=r"ledger\.sqlite cannot be used: file is not a database"):
-            Ledger(path)
-    assert path.read_bytes().startswith(b"not a database")
-
-
-# What is read and counted
-
-
-def done_job(ledger: Ledger, chunks: int = 4) -> JobRecord:
-    job = run(ledger, accept(ledger, chunks=chunks))
-    with ledger.writing() as writing:
-        writing.mark_done(job, reports(*range(chunks)))
-        writing.finish(current(ledger), JobState.DONE, 300.0)
-    return current(ledger)
-
-
-def test_damaged_chunks_of_an_outdated_job_are_given_up_with_the_reason(ledger: Ledger):
-    job = done_job(ledger)
-    lost = [Failure(chunk, f"chunk {chunk}", "damaged", None, 0) for chunk in (1, 9)]
-    with ledger.writing() as writing:
-        assert writing.lose(job, lost[1:]) == []
-        assert writing.find(job.id).state is JobState.DONE
-        assert writing.lose(job, lost) == [1]
-        assert writing.failures(job) == lost[:1]
-    assert (current(ledger).state, current(ledger).error) == (JobState.FAILED, "chunk 1: damaged")
-    assert current(ledger).chunks_done == 3
-
-
 def test_a_pause_is_no_progress_from_which_the_time_left_counts(ledger: Ledger):
     job = accept(ledger, chunks=3)
     for done in ([], [0], [], [1]):
@@ -116,9 +72,6 @@ def test_a_pause_is_no_progress_from_which_the_time_left_counts(ledger: Ledger):
         now = current(ledger)
         assert (now.progressed is None) == (now.chunks_done == 0)
         assert now.seconds_left == (1.0 if now.chunks_done else None)
-
-
-# Deletions and keys
 
 
 def test_chunks_of_deleted_jobs_are_forgotten_a_few_at_a_time(ledger: Ledger):
@@ -134,9 +87,6 @@ def test_chunks_of_deleted_jobs_are_forgotten_a_few_at_a_time(ledger: Ledger):
         assert writing.deletions() == [second]
         assert (writing.done_chunks(one, 0, 5), len(writing.done_chunks(two, 0, 5))) == ([], 5)
     assert ledger.done_mask(kept).all()
-
-
-# Space and files
 
 
 #: The tables of 0.2.0, made from today's.
@@ -163,7 +113,9 @@ BACK_TO_14 = """
 def test_a_ledger_of_the_release_before_keeps_its_jobs_and_their_stores(tmp_path: Path):
     path = tmp_path / "ledger.sqlite"
     with Ledger(path) as ledger:
-        done, again = done_job(ledger), accept(ledger, "b" * 32)
+        done, again = accept(ledger), accept(ledger, "b" * 32)
+        with ledger.writing() as writing:
+            writing.mark_done(done, reports(*range(4)))
     with closing(sqlite3.connect(path)) as connection:
         connection.executescript(BACK_TO_14.format(again=again.id))
     assert backup.inspect(path) == (2, 4)

@@ -10,13 +10,7 @@ from served import get, service
 from tables import for_each
 
 from service.errors import IllegalTransition
-from service.ledger.model import (
-    Failure,
-    JobRecord,
-    JobState,
-    check_transition,
-    summary_of,
-)
+from service.ledger.model import Failure, JobRecord, JobState, check_transition, summary_of
 
 #: Every transition there is; anything else is illegal.
 ALLOWED = {
@@ -97,9 +91,6 @@ def failures(*tries: int) -> list[Failure]:
 )
 def test_failures_are_told_by_the_first_and_the_number_of_others(given: list[Failure], summary: str | None):
     assert summary_of(given) == summary
-
-
-# As users see a job
 
 
 def test_a_job_that_is_not_computed_says_why_until_it_ends(tmp_path: Path):

@@ -183,10 +183,7 @@ WRONG = {
     "no such model": ({"model": "steel"}, "model: must be 'soft', 'stepped', 'rigid', 'ball' or 'auto'"),
     "no such protocol": ({"protocol": "fall"}, "protocol: must be 'rest', 'ramp', 'orbits', 'basin' or"),
     "no such order": ({"order": "best"}, "order: must be 'newest'"),
-    "no such day": (
-        {"created_from": "2026-02-30"},
-        "created_from: must be a day such as 2026-11-25, not ",
-    ),
+    "no such day": ({"created_from": "2026-02-30"}, "created_from: must be a day such as 2026-11-25, not "),
     "seconds": ({"created_from": "-1"}, "created_from: must be a day such as 2026-11-25, not -1"),
     "text without end": ({"search": "x" * 201}, "search: must have at most 200 characters, not 201"),
 }

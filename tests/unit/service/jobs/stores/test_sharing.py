@@ -78,7 +78,6 @@ def _resealed(change: Callable[[dict[str, bytes]], None]) -> Callable[[bytes], b
 
     def forge(page: bytes) -> bytes:
         block = sharing._BLOCK.search(page)
-        assert block is not None
         contents = {key: b64decode(text) for key, text in json.loads(block[2]).items()}
         change(contents)
         text = json.dumps({key: b64encode(content).decode() for key, content in contents.items()})
