@@ -115,7 +115,7 @@ class OnDemandCache:
             raise
 
     def close(self) -> None:
-        """Cancel results still being computed."""
+        """Cancel results still being computed, and begin none: an executor would wait for it as it closes."""
         with self._lock:
             self._closed = True
             results = list(self._results.values())
@@ -192,7 +192,7 @@ class OnDemandCache:
         with self._lock:
             while self._waiting and self._waiting[0][0].cancelled():
                 self._waiting.popleft()
-            if not self._waiting or self._running >= max(1, self._workers // 2):
+            if self._closed or not self._waiting or self._running >= max(1, self._workers // 2):
                 return None
             now = time.monotonic()
             earned = SHARE * self._workers * (now - self._credited)

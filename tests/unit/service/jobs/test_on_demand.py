@@ -134,12 +134,15 @@ def test_without_workers_nothing_is_computed(monkeypatch: pytest.MonkeyPatch):
         OnDemandCache(pool).get("key", TWO)
 
 
-def test_closing_cancels_what_is_being_computed():
+def test_closing_cancels_what_is_being_computed_and_begins_nothing():
     pool = Pool()
     cache = OnDemandCache(pool, timeout=0.01)
     with pytest.raises(Pending):
         cache.get("key", TWO)
     cache.close()
+    with pytest.raises(Pending):  # from a budget that goes on for a moment
+        cache.get("other", TWO)
+    assert len(pool.futures) == 2
     assert all(future.cancelled() for future in pool.futures)
 
 
