@@ -17,10 +17,8 @@ from scripted import DEADLINE, TWO_LINES, Held, sweep
 from served import computing_at, service_at
 
 from service import tokens
-from service.cli import options
 from service.cli.main import main
 from service.client import BounceError, Client
-from service.client.client import DEFAULT_URL
 from service.ledger.ledger import Ledger
 from worker.executors.base import Executor
 
@@ -168,10 +166,6 @@ def test_an_incomplete_diagram_is_drawn_with_a_warning(tmp_path: Path):
 
 
 # A local service
-
-
-def test_the_commands_use_the_clients_default_address():
-    assert options.DEFAULT_URL == DEFAULT_URL
 
 
 def figure_1(*words: object, **environment: str | None) -> Result:
