@@ -173,8 +173,12 @@ def format_option(*formats: str) -> Callable[[Command], Command]:
 def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:
     """`format`, or the one that the ending of the output file stands for.
 
-    Raises click.BadParameter for another ending or a missing folder, before anything is computed.
+    Raises click.BadParameter for another ending, none, or a missing folder, before anything is computed.
     """
+    if output == "-" and format is None:
+        asks = click.get_current_context().params.get("format", "") is None
+        rule = f"- needs --format: {', '.join(formats)}" if asks else "must be a file"
+        raise click.BadParameter(rule, param_hint="'-o'")
     ending = format or Path(output).suffix.lower().removeprefix(".")
     if ending not in formats:
         raise click.BadParameter(

@@ -253,6 +253,8 @@ def test_figure_needs_a_data_folder_that_no_other_command_uses(tmp_path: Path):
         (["figure", "99"], 1, "unknown figure 99; choose one of: 1, 2, 3"),
         (["figure", "1", "--data", ".", "--url", "http://127.0.0.1:9"], 2, "give one"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
+        (["diagram", "0" * 32, "-o", "-"], 2, "- needs --format: json, "),
+        (["tradeoff", "-o", "-"], 2, "must be a file"),
         (["modes", "0" * 32, "-o", "/nowhere/modes.csv"], 2, "no folder /nowhere"),
         (["list", "--state", "asleep"], 2, "asleep"),
         (["list", "--from", "yesterday"], 2, "must be a day such as 2026-11-25, not 'yesterday'"),
