@@ -98,6 +98,7 @@ def import_file(service: ServiceDep, body: PageBody) -> Response:
     The file must hold all numbers, and they must be whole.
     """
     job, is_new = import_shared(service.ledger, service.settings, service.manager.check, body)
+    service.manager.supervisor.look_again()  # what an interrupted import left is removed
     return _job_response(job, 201 if is_new else 200, {"Location": f"/v1/jobs/{job.id}"})
 
 
