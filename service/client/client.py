@@ -47,7 +47,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             job = client.submit({"gamma": {"start": 1, "stop": 6, "num": 1001}, "omega": 0.5, "xi": 0.26})
             diagram = job.wait().diagram()
 
-    Every exception raised on purpose is a `BounceError`.
+    Exceptions raised on purpose are `BounceError`, of files `OSError`.
 
     Parameters
     ----------
@@ -361,12 +361,12 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
         Raises
         ------
-        ValueError
+        BounceError
             `at_once` is below 1. A specification raises as in `submit` when its turn comes, but waits for a
             full queue, and 30 seconds for a service that is away.
         """
         if at_once < 1:
-            raise ValueError(f"at_once: must be at least 1, not {at_once}")
+            raise BounceError(f"at_once: must be at least 1, not {at_once}")
         remaining, submitted, begun = iter(specs), deque[Job](), False
         while True:
             for spec in islice(remaining, at_once - len(submitted)):
