@@ -26,11 +26,11 @@ from typing import Any, Final, NamedTuple, cast
 import xarray
 from pydantic import ValidationError
 
-import service.client.dataset  # noqa: F401 - registers `dataset.bounce`
 from kernel.numerics.cache import compilations
 from kernel.params import KERNEL_VERSION
 from service import budget as budgets
 from service.background import InThisProcess
+from service.client.dataset import from_binary
 from service.client.display import display_elapsed, display_job, display_line, duration
 from service.client.models import JobStatus
 from service.client.specification import Specification, body
@@ -235,8 +235,9 @@ def thresholds(omega: float, xi: float, **query: Any) -> xarray.Dataset:
     view = threshold.VIEW
     spring = _query(view.query, {"omega": omega, "xi": xi, **query})
     view.estimate(None, spring)
-    parts: Sequence[Call] = view.parts(None, spring) if view.parts else ()
-    return view.compute(None, spring, *(function(*given) for function, *given in parts))
+    calls: Sequence[Call] = view.parts(None, spring) if view.parts else ()
+    parts = [function(*given) for function, *given in calls]
+    return from_binary(answer(view.name, None, spring.model_dump(), "bin", parts)[0])
 
 
 def partial_of(output: Path) -> Path:

@@ -135,7 +135,7 @@ def find_token(port: int, folder: Path | None = None) -> str | None:
 
 
 def data_folder() -> Path:
-    """The folder where clients look for a token: BOUNCE_DATA, by default ./bounce-data."""
+    """The folder where clients look for a service: BOUNCE_DATA, by default ./bounce-data."""
     return Path(os.environ.get("BOUNCE_DATA") or "bounce-data")
 
 
@@ -170,6 +170,11 @@ def recorder(folder: Path) -> Iterator[Callable[[str], None]]:
 def find_service(folder: Path) -> str | None:
     """The address of this user's running service on `folder`; None if there is none."""
     return _read_text(folder / ADDRESS_FILE, "url", locked=True)
+
+
+def default_url() -> str:
+    """The address of clients: BOUNCE_URL, else that of the service on the data folder, else the usual one."""
+    return os.environ.get("BOUNCE_URL") or find_service(data_folder()) or DEFAULT_URL
 
 
 def _read_text(path: Path, name: str, *, locked: bool = False) -> str | None:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.cli.options import data_option, default_url, names_url, url_option
+from service.cli.options import data_option, names_url, url_option
+from service.tokens import DEFAULT_URL, find_service
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -107,7 +108,7 @@ def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
         raise click.UsageError("JOB needs --verify")
     settings = _settings(data)
     if data is not None and not names_url():
-        url = default_url(settings.data)
+        url = find_service(settings.data) or DEFAULT_URL
     all_ok = True
     for finding in checks.verify(settings, job) if verify else checks.examine(settings, url):
         click.echo(f"{'ok' if finding.ok else '!!':<4}{finding.subject:<18}{finding.text}")

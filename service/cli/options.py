@@ -17,7 +17,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from service.errors import missing_library
-from service.tokens import DEFAULT_URL, data_folder, find_service
+from service.tokens import DEFAULT_URL, default_url
 
 if TYPE_CHECKING:
     from service.client import Client
@@ -103,10 +103,9 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     """Ids of the service's jobs that begin so, with their states and names; none if it does not answer."""
     from service.client import BounceError, Client
 
-    url = ctx.params.get("url") or os.environ.get("BOUNCE_URL") or default_url()
     token = ctx.params.get("token") or os.environ.get("BOUNCE_TOKEN")
     try:
-        with Client(url, token, timeout=COMPLETION_SECONDS) as client:
+        with Client(ctx.params.get("url"), token, timeout=COMPLETION_SECONDS) as client:
             matching = client.jobs(search=incomplete or None)
             jobs = [job for job in matching if job.id.startswith(incomplete)]
     except BounceError:
@@ -121,11 +120,6 @@ data_option = click.option(
     type=click.Path(file_okay=False),
     help="Folder for the job ledger and the stores.  [default: ./bounce-data]",
 )
-
-
-def default_url(folder: Path | None = None) -> str:
-    """The address of the service on a data folder, by default that of clients, else the usual one."""
-    return find_service(folder or data_folder()) or DEFAULT_URL
 
 
 url_option = click.option(
@@ -179,8 +173,12 @@ def format_option(*formats: str) -> Callable[[Command], Command]:
 def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:
     """`format`, or the one that the ending of the output file stands for.
 
-    Raises click.BadParameter for another ending or a missing folder, before anything is computed.
+    Raises click.BadParameter for another ending, none, or a missing folder, before anything is computed.
     """
+    if output == "-" and format is None:
+        asks = click.get_current_context().params.get("format", "") is None
+        rule = f"- needs --format: {', '.join(formats)}" if asks else "must be a file"
+        raise click.BadParameter(rule, param_hint="'-o'")
     ending = format or Path(output).suffix.lower().removeprefix(".")
     if ending not in formats:
         raise click.BadParameter(

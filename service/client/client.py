@@ -22,7 +22,7 @@ from service.client.specification import Specification, body
 from service.client.transport import MAX_OUTAGE, Transport, header_value, json_object, outlast
 from service.formats import MOST_SHARED
 from service.result_methods import SpringMethods
-from service.tokens import DEFAULT_URL
+from service.tokens import default_url
 from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
@@ -47,16 +47,16 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             job = client.submit({"gamma": {"start": 1, "stop": 6, "num": 1001}, "omega": 0.5, "xi": 0.26})
             diagram = job.wait().diagram()
 
-    Every exception raised on purpose is a `BounceError`.
+    Exceptions raised on purpose are `BounceError`, of files `OSError`.
 
     Parameters
     ----------
     url
-        Address of the service.
+        Address of the service; by default BOUNCE_URL, else that of the user's own service, which runs on the
+        data folder BOUNCE_DATA, by default ./bounce-data, else http://127.0.0.1:8000.
     token
-        Access token, required unless the service listens on loopback only. By default the client looks for
-        the token that a service of the same user has created (`bounce serve --token auto`) in the data
-        folder BOUNCE_DATA, by default ./bounce-data.
+        Access token, required unless the service listens on loopback only; by default the one that the user's
+        own service has created (`bounce serve --token auto`).
     timeout
         Time limit of one request in seconds.
     http
@@ -66,7 +66,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
     def __init__(
         self,
-        url: str = DEFAULT_URL,
+        url: str | None = None,
         token: str | None = None,
         timeout: float = 30.0,
         *,
@@ -74,7 +74,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     ) -> None:
         if timeout is None or not timeout > 0.0:
             raise BounceError(f"timeout: must be seconds above 0, not {timeout}")
-        self._transport = Transport(url, token, timeout, http)
+        self._transport = Transport(default_url() if url is None else url, token, timeout, http)
 
     @property
     def url(self) -> str:
@@ -361,12 +361,12 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
         Raises
         ------
-        ValueError
+        BounceError
             `at_once` is below 1. A specification raises as in `submit` when its turn comes, but waits for a
             full queue, and 30 seconds for a service that is away.
         """
         if at_once < 1:
-            raise ValueError(f"at_once: must be at least 1, not {at_once}")
+            raise BounceError(f"at_once: must be at least 1, not {at_once}")
         remaining, submitted, begun = iter(specs), deque[Job](), False
         while True:
             for spec in islice(remaining, at_once - len(submitted)):

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from service.budget import check, within
 from service.errors import Busy, RunFailed, ServiceError
-from service.jobs.manager import JobManager
+from service.jobs.manager import JobManager, Submission
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
 from worker.spec.errors import SpecError
@@ -43,8 +43,8 @@ class Budgets:
         self._budgets: list[Budget] = []  # the last begun first
         self._own = set[str]()  # jobs that only budgets asked for
 
-    def begin(self, spec: Any, seconds: float, owner: str | None) -> JobRecord:
-        """Begin a budget, and return the job of its first level. A repeated request joins its budget.
+    def begin(self, spec: Any, seconds: float, owner: str | None) -> Submission:
+        """Begin a budget, and return the submission of its first level. A repeated request joins its budget.
 
         Raises SpecInvalid, Busy, and as `JobManager.submit`.
         """
@@ -54,7 +54,7 @@ class Budgets:
         with self._lock:
             same = [budget for budget in self._budgets if budget.spec == spec]
             repeated = (old for old in same if not old.over and abs(old.ends - ends) < SAME_SECONDS)
-            budget = next(repeated, None)
+            joined = budget = next(repeated, None)
             if budget is None:
                 going = [budget for budget in self._budgets if not budget.over]
                 if len(going) >= MOST:
@@ -64,7 +64,8 @@ class Budgets:
                 over = [budget for budget in self._budgets if budget.over]
                 self._budgets = [budget, *going, *over][:KEPT]
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
-        return budget.first.result()
+        job, accepted = budget.first.result()
+        return Submission(job, accepted and joined is None)
 
     def own(self, job_id: str) -> None:
         """Note that a budget began a job: it may be cancelled when the time is over."""
@@ -100,7 +101,7 @@ class Budget:
         self.seconds, self.is_done = budgets.manager.seconds, budgets.manager.is_done
         self._seconds, self.ends = seconds, time.monotonic() + seconds
         self.steps = known  # of the finest level that is done
-        self.first: Future[JobRecord] = Future()
+        self.first: Future[Submission] = Future()
         self.levels: tuple[str, ...] = ()  # ids of their jobs
         self.doing = ""  # the present step, in words
         self._why = ""  # why no finer level came, unless time ran out
@@ -138,7 +139,7 @@ class Budget:
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         deadline = time.monotonic() + seconds
         try:
-            job, accepted = self._budgets.manager.submit(spec, owner=self._owner)
+            job, accepted = first = self._budgets.manager.submit(spec, owner=self._owner)
         except (SpecError, ServiceError):  # such as a full queue
             if self.answer is None:
                 raise
@@ -147,7 +148,7 @@ class Budget:
         if accepted:
             self._budgets.own(job.id)
         if not self.first.done():
-            self.first.set_result(job)
+            self.first.set_result(first)
         record = self._ended(job, deadline)
         if record is None and self._budgets.may_cancel(job.id) and not self._budgets.stopping.is_set():
             self._budgets.manager.cancel(job.id)

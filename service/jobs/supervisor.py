@@ -67,8 +67,8 @@ class Supervisor:
     `Schedule` decides which job submits the next chunk to the executor's limited places. There, later chunks
     of smaller jobs overtake a chunk for at most PASSED_SECONDS.
 
-    `start`, `in_flight`, `metrics`, `cluster`, `unknown_stores`, `wake`, `repair` and `stop` may be used from
-    any thread. The rest runs in the supervisor's own.
+    `start`, `in_flight`, `metrics`, `cluster`, `unknown_stores`, `wake`, `look_again`, `repair` and `stop`
+    may be used from any thread. The rest runs in the supervisor's own.
     """
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings, preparer: JobPreparer) -> None:
@@ -82,7 +82,7 @@ class Supervisor:
         self.metrics = ChunkMetrics()
         self.cluster = executor.state()  # as of the last sync
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
-        self.unknown_stores: Sequence[str] | None = None  # names; the ledger did not know them at the start
+        self.unknown_stores: Sequence[str] | None = None  # names that the ledger did not know
         self._inbox: SimpleQueue[Message] = SimpleQueue()
         self._messages: deque[Message] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
@@ -105,6 +105,12 @@ class Supervisor:
     def wake(self) -> None:
         """Sync with the ledger now. Call it after changing the ledger."""
         self._inbox.put(None)
+
+    def look_again(self) -> None:
+        """Look for the stores that the ledger does not know again, if there were any."""
+        if self.unknown_stores:
+            self.unknown_stores = None
+            self.wake()
 
     def repair(self, job_id: str, damaged: Sequence[ChunkCoords]) -> Repair:
         """Have a store repaired, as `stores.repair.repair`. Raises LedgerUnavailable."""

@@ -154,10 +154,15 @@ def _moved(
     omega = study.spec.axis_values("omega")
     shared = np.isclose(omega, other.spec.axis_values("omega")[near], rtol=selection.ROUNDING, atol=0.0)
     moved = {
-        f"{way}_moved": np.where(shared, np.abs(own[way] - theirs[way][near]), np.nan)
-        for way in ("up", "down")
+        f"{way}_moved": np.where(shared, _away(own[way], theirs[way][near]), np.nan) for way in ("up", "down")
     }
     return moved, shared
+
+
+def _away(own: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far two thresholds are apart: 0 if only the rounding of their grids differs."""
+    same = np.isclose(own, theirs, rtol=selection.ROUNDING, atol=0.0)
+    return np.where(same, 0.0, np.abs(own - theirs))
 
 
 def _sentence(

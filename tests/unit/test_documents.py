@@ -256,7 +256,7 @@ def test_every_status_is_explained():
         for error in vars(errors).values()
         if isinstance(error, type) and hasattr(error, "status")
     }
-    assert own | set(FOREIGN.values()) | {401, 403, 404, 405, 408, 410, 415, 416, 421} == explained
+    assert own | set(FOREIGN.values()) | {401, 403, 404, 405, 408, 410, 412, 415, 416, 421} == explained
 
 
 def test_every_command_is_named():

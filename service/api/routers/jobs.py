@@ -68,7 +68,8 @@ def submit_job(
 
     A failed or cancelled job resumes. With `validate_only` nothing is accepted; the response is the estimated
     cost. With `budget` levels of a sweep are computed one after another, from coarse to fine; the response is
-    the job of the first one, whose `budget` says how far it is.
+    the job of the first one, whose `budget` says how far it is. It takes no Idempotency-Key: a repeated
+    request joins it anyway.
     """
     spec = from_json(body)
     if query.validate_only:
@@ -76,8 +77,7 @@ def submit_job(
     if query.budget is not None:
         if idempotency_key is not None:
             raise InvalidRequest.of("budget", "has no Idempotency-Key: a repeated request joins it anyway")
-        job = service.budgets.begin(spec, query.budget, owner)
-        return _submitted(service, Submission(job, accepted=True), kept=False)
+        return _submitted(service, service.budgets.begin(spec, query.budget, owner), kept=False)
     return _submitted(service, service.manager.submit(spec, idempotency_key, owner))
 
 
@@ -98,6 +98,7 @@ def import_file(service: ServiceDep, body: PageBody) -> Response:
     The file must hold all numbers, and they must be whole.
     """
     job, is_new = import_shared(service.ledger, service.settings, service.manager.check, body)
+    service.manager.supervisor.look_again()  # what an interrupted import left is removed
     return _job_response(job, 201 if is_new else 200, {"Location": f"/v1/jobs/{job.id}"})
 
 
@@ -111,7 +112,8 @@ def _submitted(
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(_retry_after(job))
-    return _job_response(job, 202 if accepted else 200, headers, notice=notice)
+    budget = _budget_view(service, job.id)
+    return _job_response(job, 202 if accepted else 200, headers, notice=notice, budget=budget)
 
 
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
@@ -143,10 +145,9 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     cluster, notice = service.manager.supervisor.cluster, None
     if job.state in UNFINISHED:
         notice = service.ledger.fault() or cluster.explanation
-    compiling, budget = service.manager.compiling(job), service.budgets.of(job_id)
+    compiling, reached = service.manager.compiling(job), _budget_view(service, job_id)
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)
-    reached = None if budget is None else schemas.BudgetView.model_validate(budget)
     # weak, because the estimated time left changes while the tag stays
     tag(request, *job.revision, len(failures), notice, compiled, reached, weak=True, headers=headers)
     about = {"failures": failures, "notice": notice, "compiling": compiling, "budget": reached}
@@ -253,6 +254,12 @@ def _job_response(
 ) -> Response:
     """The job as `job_view` describes it."""
     return Response(job_view(job, **about).model_dump_json(), status, headers, "application/json")
+
+
+def _budget_view(service: ServiceDep, job_id: str) -> schemas.BudgetView | None:
+    """How far the budget of a level is."""
+    budget = service.budgets.of(job_id)
+    return None if budget is None else schemas.BudgetView.model_validate(budget)
 
 
 def _retry_after(job: JobRecord) -> int:

@@ -902,6 +902,20 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
         page.locator("[data-field='settle']:focus").wait_for()
 
 
+def test_on_paper_nothing_is_cut_off_or_covered(browser: Any, address: str, loop: str):
+    height = "element => [element.scrollHeight, element.clientHeight]"
+    with opened(browser, view(address, loop)) as page:
+        wait_shown(page, along="gamma")
+        page.emulate_media(media="print")
+        plot, canvas = page.locator(".panel .plot"), page.locator(".panel .plot canvas").first
+        canvas.evaluate("canvas => { canvas.style.height = '2000px'; }")  # of a drawing for the screen
+        assert canvas.bounding_box() == plot.bounding_box()
+        assert page.locator(".panel .downloads").first.is_hidden()
+        open_tab(page, "Details")
+        shown, clipped = page.locator("pre").first.evaluate(height)
+        assert shown == clipped
+
+
 def test_a_study_of_cycles_opens_on_its_branches_and_one_of_them_moves(browser: Any, address: str):
     orbits = {"name": "Folds", "protocol": {"kind": "orbits"}, "omega": [0.6, 0.7], "xi": 0.05}
     job = done(address, orbits | {"modes": ["1-1", "1-2"], "points": 100})

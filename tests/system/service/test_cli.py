@@ -18,10 +18,8 @@ from scripted import DEADLINE, TWO_LINES, Held, sweep, wait_for
 from served import computing_at, service_at
 
 from service import tokens
-from service.cli import options
 from service.cli.main import main
 from service.client import BounceError, Client
-from service.client.client import DEFAULT_URL
 from worker.executors.base import Executor
 
 BOUNCE = str(Path(sys.executable).with_name("bounce"))
@@ -170,10 +168,6 @@ def test_an_incomplete_diagram_is_drawn_with_a_warning(tmp_path: Path):
 # A local service
 
 
-def test_the_commands_use_the_clients_default_address():
-    assert options.DEFAULT_URL == DEFAULT_URL
-
-
 @pytest.mark.parametrize("how", ["variable", "named folder"])
 def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str):
     """Figure 1, which needs no sweep."""
@@ -263,6 +257,8 @@ def test_the_doctor_asks_the_service_on_the_folder(
         (["figure", "99"], 1, "unknown figure 99; choose one of: 1, 2, 3"),
         (["figure", "1", "--data", ".", "--url", "http://127.0.0.1:9"], 2, "give one"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
+        (["diagram", "0" * 32, "-o", "-"], 2, "- needs --format: json, "),
+        (["tradeoff", "-o", "-"], 2, "must be a file"),
         (["modes", "0" * 32, "-o", "/nowhere/modes.csv"], 2, "no folder /nowhere"),
         (["list", "--state", "asleep"], 2, "asleep"),
         (["list", "--from", "yesterday"], 2, "must be a day such as 2026-11-25, not 'yesterday'"),

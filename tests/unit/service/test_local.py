@@ -91,6 +91,12 @@ def test_thresholds_of_a_spring_need_no_service():
         thresholds(0.6, -1)
 
 
+def test_thresholds_are_those_of_a_service(python_client: Client, tmp_path: Path):
+    here = thresholds(0.6, 0.05)
+    xarray.testing.assert_identical(here, python_client.threshold(0.6, 0.05))
+    here.to_netcdf(tmp_path / "a.nc")
+
+
 # Errors
 
 

@@ -95,6 +95,17 @@ def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         yield tokens.own_token(tmp_path)
 
 
+def test_a_client_finds_it_unless_another_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("BOUNCE_URL", raising=False)
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    assert Client().url == tokens.DEFAULT_URL
+    with tokens.recorder(tmp_path) as record:
+        record("http://127.0.0.1:8123")
+        assert Client().url == "http://127.0.0.1:8123"
+        monkeypatch.setenv("BOUNCE_URL", "http://localhost:9")
+        assert Client().url == "http://localhost:9"
+
+
 def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
     token = tokens.own_token(tmp_path)
     assert tokens.is_valid(token)

@@ -56,9 +56,9 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
 
 const COPIED_MS = 1500;
 
-/** A button that copies what `text()` returns, and says so. */
-export const copyButton = (text) => h("button", {
-  type: "button", className: "quiet",
+/** A button that copies `what`, which `text()` returns, and says so. */
+export const copyButton = (what, text) => h("button", {
+  type: "button", className: "quiet", "aria-label": `Copy ${what}`,
   onclick: async ({ currentTarget: button }) => {
     const content = text(); // also without a clipboard: it may select the text
     button.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";

@@ -49,7 +49,7 @@ export class Snippets {
   constructor(language = "Python") {
     const options = Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name));
     this.select = h("select", { "aria-label": "Language", onchange: () => this.show() }, options);
-    const copy = copyButton(() => {
+    const copy = copyButton("the specification", () => {
       getSelection().selectAllChildren(this.text); // for browsers that do not allow copying: a service without https
       return this.text.textContent;
     });

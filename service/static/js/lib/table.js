@@ -31,7 +31,7 @@ export class PagedTable {
     const file = () => new Blob([textOf(this.read(), ",")], { type: "text/csv" });
     this.element = h("details", { className: "paged", open, ontoggle: () => this.update() }, h("summary", {}, label), this.body,
       h("div", { className: "actions" }, this.previous, this.next, this.range),
-      h("div", { className: "actions" }, copyButton(() => textOf(this.read(), "\t")), downloads([["table as CSV", name, file]])));
+      h("div", { className: "actions" }, copyButton("the table", () => textOf(this.read(), "\t")), downloads([["table as CSV", name, file]])));
   }
 
   /** While the table is open, show the rows that there are now, or those of the page before or after. */

@@ -126,7 +126,7 @@ export class PlotView {
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
       this.#downloads(), actions(this.unzoom, this.logButtons, compute), ...shown, this.readout,
-      actions(copyButton(() => this.lastReadout ?? this.hint)), this.measured?.element, ...below.map((item) => item.element ?? item), this.table.element,
+      actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.measured?.element, ...below.map((item) => item.element ?? item), this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });

@@ -1,4 +1,4 @@
-"""Endpoints of jobs: idempotency keys, estimates, links, ETags."""
+"""Endpoints of jobs: idempotency keys, budgets, estimates, links, ETags."""
 
 import json
 from pathlib import Path
@@ -26,6 +26,16 @@ def test_a_key_must_be_ascii_without_spaces(tmp_path: Path):
             "/v1/jobs", json=SWEEP, headers=[("Idempotency-Key", "a"), ("Idempotency-Key", "b")]
         )
         assert (answer.status_code, answer.json()["detail"]) == (422, "idempotency-key: is given 2 times")
+
+
+# Budgets
+
+
+def test_a_budget_is_answered_with_its_view_and_with_200_once_its_job_is_there(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        answers = [client.post("/v1/jobs?budget=600", json=SWEEP) for _ in range(2)]
+    assert [answer.status_code for answer in answers] == [202, 200]
+    assert {answer.json()["budget"]["computing"] for answer in answers} == {answers[0].json()["id"]}
 
 
 # Estimates

@@ -165,7 +165,7 @@ def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
     assert submitted == [0, 1]
     ids = [first.id, *(job.id for job in jobs)]
     assert ids == [client.submit(spec).id for spec in specs]
-    with pytest.raises(ValueError, match="at_once: must be at least 1"):
+    with pytest.raises(BounceError, match="at_once: must be at least 1"):
         next(client.map(specs, at_once=0))
 
 

@@ -9,7 +9,7 @@ from studies import BASINS, spec_of
 from tables import for_each
 
 from service.client import BadRequest, Client, NotFound
-from service.views.difference import _sentence
+from service.views.difference import _away, _sentence
 
 
 def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_path: Path):
@@ -57,6 +57,10 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     assert (alone.differs == 0).all()
     assert "other_label" not in alone
     assert same.attrs["sentence"] == "100 % of the cells have the same mode; no threshold moves."
+
+
+def test_the_rounding_of_a_grid_is_no_move():
+    assert _away(np.array([0.1 + 0.2, 0.5]), np.array([0.3, 0.75])).tolist() == [0.0, 0.25]
 
 
 @for_each(("moved", "bound"), [(0.0134, "0.014"), (1.213 - 1.2, "0.013"), (0.0991, "0.1"), (123.0, "130")])

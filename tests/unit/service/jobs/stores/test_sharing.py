@@ -52,6 +52,8 @@ def test_it_is_the_same_job_with_the_same_bytes(
         folder / "stores" / f"1000-{from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION)}.zarr"
     )  # by an import that was interrupted
     left.mkdir(parents=True)
+    client.app.state.service.manager.supervisor.unknown_stores = [left.name]  # type: ignore[attr-defined]
+    assert "notices" in client.get("/readyz").json()
     for status in (201, 200):
         answer = client.post("/v1/imports", content=page, headers=HTML)
         assert answer.status_code == status, answer.text
@@ -59,6 +61,7 @@ def test_it_is_the_same_job_with_the_same_bytes(
     assert (job["state"], job["progress"]["percent"], job["name"]) == ("done", 100, RAMP["name"])
     assert files(store_in(folder, job["id"])) == stored
     assert not left.exists()
+    wait_for(lambda: client.get("/readyz").json() == {"status": "ok"})
     here = answer.headers["Location"]
     assert get(client, f"{here}/modes", xi=0.26, direction="up")["attrs"]["complete"]
     table = client.get(f"{here}/export?format=parquet").content
