@@ -86,15 +86,6 @@ def test_its_address_is_found_while_it_runs_and_others_cannot_write_it(tmp_path:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.fixture
-def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The token of a service on port 8000, whose data folder is that of the clients."""
-    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
-    with tokens.recorder(tmp_path) as record:
-        record("http://127.0.0.1:8000")
-        yield tokens.own_token(tmp_path)
-
-
 def test_a_client_finds_it_unless_another_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.delenv("BOUNCE_URL", raising=False)
     monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
@@ -104,6 +95,15 @@ def test_a_client_finds_it_unless_another_is_named(tmp_path: Path, monkeypatch: 
         assert Client().url == "http://127.0.0.1:8123"
         monkeypatch.setenv("BOUNCE_URL", "http://localhost:9")
         assert Client().url == "http://localhost:9"
+
+
+@pytest.fixture
+def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The token of a service on port 8000, whose data folder is that of the clients."""
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    with tokens.recorder(tmp_path) as record:
+        record("http://127.0.0.1:8000")
+        yield tokens.own_token(tmp_path)
 
 
 def test_a_made_token_is_kept_for_this_user_alone(tmp_path: Path):
