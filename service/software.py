@@ -18,16 +18,22 @@ LIBRARIES: Final = ("numpy", "numba", "dask", "distributed", "zarr", "fastapi", 
 #: Limit on the runs of a job that are kept; further ones are not recorded.
 MAX_RUNS: Final = 100
 
+#: One line, which every format of files can hold: a run may come from another service's file.
+_Text = Annotated[str, Field(max_length=200, pattern=r"^\P{C}*$")]
+
+#: Seconds since 1970, up to the year 9999.
+_Time = Annotated[float, Field(ge=0.0, lt=253_402_300_800.0)]
+
 
 @dataclass(frozen=True)
 class Run:
     """What computed a job, or a part of it."""
 
-    release: str
-    python: str
-    libraries: dict[str, str]
-    processor: str
-    began: float
+    release: _Text
+    python: _Text
+    libraries: Annotated[dict[_Text, _Text], Field(max_length=100)]
+    processor: _Text
+    began: _Time
 
 
 _RUNS: Final = TypeAdapter(Annotated[list[Run], Field(max_length=MAX_RUNS)])

@@ -157,6 +157,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         """
         ends = time.monotonic() + budget
         levels, doing = [self._begin(spec, budget)], ""
+        earlier: list[Job] = []  # levels of a service that ended meanwhile
         try:
             while True:
                 last = levels[-1]
@@ -169,6 +170,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                     continue
                 reached = last.view.get("budget")
                 if reached is None:  # the service began anew, without the budget
+                    earlier = levels[:]
                     try:
                         levels.append(outlast(partial(self._begin, spec, ends - time.monotonic()), busy=0.0))
                     except (errors.InvalidSpecification, errors.Busy):  # no other level fits
@@ -190,11 +192,13 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         except (KeyboardInterrupt, SystemExit) as interrupt:
             interrupt.add_note(f"stopped waiting; the budget goes on (end it with: bounce cancel {last.id})")
             raise
-        if reached["answer"] is None:
-            if last.state == "failed":
-                raise errors.JobFailed(last)
-            raise errors.InvalidSpecification.before_sending(reached["error"])
-        return outlast(partial(self.job, reached["answer"]))
+        done = [] if reached["answer"] is None else [outlast(partial(self.job, reached["answer"]))]
+        done += filter(None, [_finest_done(earlier)])
+        if done:
+            return max(done, key=_cells)
+        if last.state == "failed":
+            raise errors.JobFailed(last)
+        raise errors.InvalidSpecification.before_sending(reached["error"])
 
     def _begin(self, spec: Specification, budget: float) -> Job:
         """The first level of a budget. Raises as `run`."""
@@ -458,10 +462,16 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
 def _finest_done(levels: "Iterable[Job]") -> Job | None:
     """The finest level of a budget that is done, if any."""
+    done = []
     for level in levels:
-        level._refresh_in_time()
-    done = [level for level in levels if level.state == "done"]
-    return max(done, key=lambda level: level.progress.cells_total, default=None)
+        with suppress(errors.NotFound):  # it was deleted
+            level._refresh_in_time()
+            done.append(level)
+    return max((level for level in done if level.state == "done"), key=_cells, default=None)
+
+
+def _cells(level: Job) -> int:
+    return level.progress.cells_total
 
 
 def _not_found(detail: str) -> errors.NotFound:

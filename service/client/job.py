@@ -197,15 +197,19 @@ class Job(ResultReader, ResultMethods, JobStatus):
             No answer for 30 seconds.
         """
         while True:
-            try:
-                for _ in self._transport.events(self._path("events")):
-                    self._refresh_in_time()
-                    yield self
-            except errors.ServiceUnreachable:  # the service has died
-                time.sleep(OUTAGE_DELAY)
+            for _ in self._events():
+                self._refresh_in_time()
+                yield self
             if self.finished:
                 return
             self._refresh_in_time()  # the job was deleted, or the service stopped
+
+    def _events(self) -> Iterator[object]:
+        """The changes that the service pushes, until it stops or dies."""
+        try:
+            yield from self._transport.events(self._path("events"))
+        except errors.ServiceUnreachable:
+            time.sleep(OUTAGE_DELAY)
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).

@@ -202,6 +202,16 @@ def test_a_budget_goes_on_at_a_service_that_began_anew(tmp_path: Path, monkeypat
             assert done == client.submit(spec) != first
 
 
+def test_a_budget_begun_anew_ends_with_the_finest_level_of_both(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+):
+    levels = client.submit(SPEC | {"xi": 0.2}), client._begin(SPEC | {"gamma": [2.0], "xi": 0.2}, DEADLINE)
+    finer = levels[0].wait(progress=False)
+    begun = iter(levels)
+    monkeypatch.setattr(Client, "_begin", lambda *_: next(begun))
+    assert client.run(SPEC, budget=DEADLINE, progress=False) == finer
+
+
 @for_each("how", ["submitted", "resumed"])
 def test_a_budget_leaves_what_somebody_else_wants(tmp_path_factory: pytest.TempPathFactory, how: str):
     small = {"gamma": [1.1, 1.2], "omega": 0.5, "xi": 0.1}
