@@ -401,8 +401,8 @@ class Supervisor:
         state = run.final_state
         if state is None:
             return
-        with suppress(OSError):  # else leftovers of killed workers stay until `bounce doctor --verify`
-            store.sweep_leftovers(run.prepared.store_url)
+        with suppress(OSError, *store.UNREACHABLE):  # else leftovers stay until `bounce doctor --verify`
+            store.sweep_leftovers(run.prepared.store_url, done=state is JobState.DONE)
         error = summary_of(run.failures) if state is JobState.FAILED else None
         with self._ledger.writing() as ledger:
             ended = ledger.end(run.job, state, time.time(), error)

@@ -77,12 +77,15 @@ def _flag(url: str) -> tuple[str, str]:
     return folder, f"{name}.cancelled"
 
 
-def sweep_leftovers(url: str) -> int:
+def sweep_leftovers(url: str, *, done: bool = False) -> int:
     """Remove partial files of killed writers and return their number.
 
     A task of an earlier start that is still writing fails; nobody takes its result. Buckets have no
-    partial objects: writing one is atomic.
+    partial objects: writing one is atomic. done: all chunks are, and checkpoints, which tasks of an earlier
+    start wrote, are removed too.
     """
+    for chunk in checkpoints_in(url) if done else ():
+        remove_checkpoint(url, chunk)
     if backend.in_bucket(url):
         return 0
     partial = Path(url, backend.PARTIAL)

@@ -378,3 +378,14 @@ def test_a_token_has_its_part_of_the_queue(tmp_path: Path):
         submit("dan")
         with pytest.raises(QueueFull):
             service.manager.resume(first.id, "ann")
+
+
+def test_the_end_of_a_job_removes_what_a_slice_of_an_earlier_start_left(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() > 0)
+        url = service.settings.store_of(service.job(job).store)
+        store.write_checkpoint(url, 0, {"late": np.zeros(1)})
+        held.let_go_until(lambda: service.job(job).state is JobState.DONE)
+        assert store.checkpoints_in(url) == []
