@@ -39,7 +39,7 @@ SETTINGS = {
 def test_a_job_of_a_million_chunks_survives_kills(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     for name, value in SETTINGS.items():
         monkeypatch.setenv(name, value)
-    spec, done = huge(1_000_000), dict[int, str]()
+    spec, done = huge(1_000_000), set[int]()
     for _ in range(3):
         service = Serving(tmp_path)
         try:
