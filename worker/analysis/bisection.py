@@ -32,7 +32,7 @@ from worker.sweep.task import run_cells
 MAX_CELLS: Final = 2_000
 
 #: Typical number of cells per threshold, to estimate the cost of a request. One in a hundred thresholds, and
-#: one in ten at xi < 0.01, takes up to 30 cells of LASTING besides: seconds.
+#: one in six at xi < 0.006, takes some 30 cells of LASTING besides: seconds.
 TYPICAL_CELLS: Final = 40
 
 #: Plate periods before the window of a refinement's cell that is not certified, and the limit for one that
