@@ -335,11 +335,10 @@ class _Runner:
     def audit(self, spec: Any, seconds: float) -> str | None:
         assert self._last is not None
         study = stored(self._last.record, self._last.job)
-        cells = audit.affordable(study.spec, seconds * self._executor.workers())
+        query = audit.affordable(study.spec, seconds * self._executor.workers())
         # Compiling cannot be interrupted.
-        if cells is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
+        if query is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
             return None
-        query = audit.AuditQuery(cells=cells, followed=0)
         calls = [self._executor.call(*call) for call in audit.parts(study, query)]
         _, late = wait(calls, timeout=seconds)
         for call in late:
