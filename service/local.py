@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -125,18 +126,16 @@ def run(
     DataFolderBusy
         Another process computes the same store.
     """
+    compute = partial(computed, spec, workers=workers, progress=progress, budget=budget, began=began)
     if store is None:
-        with (
-            temporary_folder("bounce-") as folder,
-            computed(spec, folder, workers=workers, progress=progress, budget=budget, began=began) as done,
-        ):
+        with temporary_folder("bounce-") as folder, compute(folder) as done:
             return _opened(done.job.store_url).load().assign_attrs(done.attributes)
     target, attributes = Path(store), dict[str, str]()
     if (ending := target.suffix.lower().removeprefix(".")) in {*EXPORTS, *PICTURES, *TABLES}:
         raise InvalidRequest.of("store", f"is a folder of zarr, not .{ending}: run_to_file writes files")
     if not _is_computed(target, spec):
         folder = partial_of(target)
-        with computed(spec, folder, workers=workers, progress=progress, budget=budget, began=began) as done:
+        with compute(folder) as done:
             computed_store, attributes = Path(done.job.store_url), done.attributes
         computed_store.rename(target)
         sync(target.parent)
@@ -336,11 +335,10 @@ class _Runner:
     def audit(self, spec: Any, seconds: float) -> str | None:
         assert self._last is not None
         study = stored(self._last.record, self._last.job)
-        cells = audit.affordable(study.spec, seconds * self._executor.workers())
+        query = audit.affordable(study.spec, seconds * self._executor.workers())
         # Compiling cannot be interrupted.
-        if cells is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
+        if query is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
             return None
-        query = audit.AuditQuery(cells=cells, followed=0)
         calls = [self._executor.call(*call) for call in audit.parts(study, query)]
         _, late = wait(calls, timeout=seconds)
         for call in late:

@@ -12,7 +12,7 @@ from service.client import errors
 from service.client.display import display_job, job_html, summary
 from service.client.models import JobStatus
 from service.client.specification import body
-from service.client.transport import OUTAGE_DELAY, Transport, json_object, outlast, retry_after
+from service.client.transport import ASK_DELAY, Transport, json_object, outlast, retry_after
 from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
 from worker.spec.errors import BounceError
@@ -209,7 +209,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         try:
             yield from self._transport.events(self._path("events"))
         except errors.ServiceUnreachable:
-            time.sleep(OUTAGE_DELAY)
+            time.sleep(ASK_DELAY)
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).

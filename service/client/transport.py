@@ -34,16 +34,14 @@ CONNECT_SECONDS: Final = 5.0
 #: Seconds before the second and the third attempt at an idempotent request.
 RETRY_DELAYS: Final = (0.1, 0.4)
 
-#: Default and shortest seconds between two requests to a busy service.
-BUSY_DELAY: Final = 1.0
+#: Default and shortest seconds between two requests to a service that is busy or away.
+ASK_DELAY: Final = 1.0
 SHORTEST_DELAY: Final = 0.1
 #: Seconds of waiting for a busy service before it is reported.
 SHOWN_AFTER: Final = 2.0
 
 #: Seconds for which a wait outlasts a service that is away; a restarted one continues its jobs.
 MAX_OUTAGE: Final = 30.0
-#: Seconds between two of its requests.
-OUTAGE_DELAY: Final = 1.0
 
 #: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
 EVENTS_SECONDS: Final = 60.0
@@ -64,24 +62,31 @@ Query: TypeAlias = Mapping[str, str | float | None]
 Answer = TypeVar("Answer")
 
 
-def outlast(send: Callable[[], Answer], *, away: float = MAX_OUTAGE, busy: float = MAX_OUTAGE) -> Answer:
+def outlast(
+    send: Callable[[], Answer], *, away: float = MAX_OUTAGE, busy: float = MAX_OUTAGE, shown: bool = False
+) -> Answer:
     """What `send` returns, repeated while the service does not answer.
 
-    For up to `away` seconds where it is away, `busy` where it is full. Raises ServiceUnreachable or Busy.
+    For up to `away` seconds where it is away, `busy` where it is full (429). Raises ServiceUnreachable or
+    Busy. shown: whether waits longer than SHOWN_AFTER for a full service are shown on standard error.
     """
     began = answered = time.monotonic()
-    while True:
-        try:
-            return send()
-        except (ServiceUnreachable, Busy) as error:
-            now = time.monotonic()
-            if isinstance(error, Busy) and error.status == HTTPStatus.TOO_MANY_REQUESTS:
-                answered, gives_up = now, now - began > busy
-            else:
-                gives_up = now - answered > away
-            if gives_up:
-                raise
-        time.sleep(OUTAGE_DELAY)
+    with ExitStack() as waiting:
+        while True:
+            try:
+                return send()
+            except (ServiceUnreachable, Busy) as error:
+                now = time.monotonic()
+                full = isinstance(error, Busy) and error.status == HTTPStatus.TOO_MANY_REQUESTS
+                asked = error.retry_after if isinstance(error, Busy) else None
+                answered = now if full else answered
+                left = (began + busy if full else answered + away) - now
+                if left <= 0.0:
+                    raise
+            if full and shown:
+                waiting.enter_context(display_elapsed("the service is busy: waiting", SHOWN_AFTER))
+                shown = False
+            time.sleep(_pause(asked, left))
 
 
 class Transport:
@@ -123,8 +128,9 @@ class Transport:
     def get(
         self, path: str, query: Query | None = None, headers: Mapping[str, str] | None = None
     ) -> httpx2.Response:
-        """GET `path`; a 304 is returned like a success. Waits for a busy service like `_when_free`."""
-        return self._when_free(partial(self._request, "GET", path, query, headers), self._timeout)
+        """GET `path`; a 304 is returned like a success. Waits for a busy service."""
+        send = partial(self._request, "GET", path, query, headers)
+        return outlast(send, away=0.0, busy=self._timeout, shown=True)
 
     def post(
         self,
@@ -141,7 +147,7 @@ class Transport:
         """
         content_type = {"Content-Type": "application/json"} if body is not None else {}
         send = partial(self._request, "POST", path, query, {**content_type, **(headers or {})}, body)
-        return self._when_free(send, self._timeout) if waits else send()
+        return outlast(send, away=0.0, busy=self._timeout, shown=True) if waits else send()
 
     def delete(self, path: str) -> None:
         """DELETE `path`; not retried, because a second request would find nothing."""
@@ -170,8 +176,8 @@ class Transport:
         show, again = display_parts(progress), False
         while True:
             left = deadline - time.monotonic()
-            ask = partial(self._when_free, send, left, shown=progress is not False)
-            response = outlast(ask, away=min(MAX_OUTAGE, left) if again else 0.0, busy=0.0)
+            away = min(MAX_OUTAGE, left) if again else 0.0
+            response = outlast(send, away=away, busy=left, shown=progress is not False)
             again = True
             if response.status_code != HTTPStatus.ACCEPTED:
                 return response.content
@@ -180,28 +186,6 @@ class Transport:
             if (left := deadline - time.monotonic()) <= 0.0:
                 raise NotComputedYet(done, total, timeout)
             time.sleep(_pause(retry_after(response), left))
-
-    def _when_free(
-        self, send: Callable[[], httpx2.Response], seconds: float, *, shown: bool = True
-    ) -> httpx2.Response:
-        """The response of `send`, repeated for up to `seconds` while the service is too busy (429).
-
-        Raises Busy after that. Waits longer than SHOWN_AFTER are shown on standard error.
-        """
-        deadline = time.monotonic() + seconds
-        with ExitStack() as waiting:
-            while True:
-                try:
-                    return send()
-                except Busy as busy:
-                    left = deadline - time.monotonic()
-                    if busy.status != HTTPStatus.TOO_MANY_REQUESTS or left <= 0.0:
-                        raise
-                    pause = _pause(busy.retry_after, left)
-                if shown:
-                    waiting.enter_context(display_elapsed("the service is busy: waiting", SHOWN_AFTER))
-                    shown = False
-                time.sleep(pause)
 
     def events(self, path: str) -> Iterator[dict[str, Any]]:
         """The data of server-sent events, each a JSON object, as they arrive."""
@@ -220,7 +204,7 @@ class Transport:
             def send() -> httpx2.Response:
                 return opened.enter_context(self._stream(path, query, DOWNLOAD_SECONDS))
 
-            response = self._when_free(send, DOWNLOAD_SECONDS)
+            response = outlast(send, away=0.0, busy=DOWNLOAD_SECONDS, shown=True)
             with complete_file(target) as file:
                 for block in response.iter_bytes():
                     file.write(block)
@@ -364,7 +348,7 @@ def retry_after(response: httpx2.Response) -> float | None:
 
 def _pause(asked: float | None, left: float) -> float:
     """Seconds until the next request: the service asked for `asked`, the caller has `left`."""
-    return max(min(max(asked or BUSY_DELAY, SHORTEST_DELAY), left), 0.0)
+    return min(max(asked or ASK_DELAY, SHORTEST_DELAY), left)
 
 
 def header_value(name: str, text: str) -> str:

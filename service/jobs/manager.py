@@ -186,16 +186,10 @@ class JobManager:
             self.supervisor.wake()
         return Submission(record, accepted)
 
-    def pin(self, job_id: str, pinned: bool) -> JobRecord:
-        """Pin a job, or unpin it. Raises UnknownJob."""
+    def label(self, job_id: str, **labels: str | bool) -> JobRecord:
+        """Set a job's `name`, or whether it is `pinned`, no parts of its identity. Raises UnknownJob."""
         with self._ledger.writing() as ledger:
-            ledger.update(_existing(ledger, job_id), pinned=pinned)
-            return _existing(ledger, job_id)
-
-    def rename(self, job_id: str, name: str) -> JobRecord:
-        """Give a job another name, which is not part of its identity. Raises UnknownJob."""
-        with self._ledger.writing() as ledger:
-            ledger.update(_existing(ledger, job_id), name=name)
+            ledger.update(_existing(ledger, job_id), **labels)
             return _existing(ledger, job_id)
 
     def delete(self, job_id: str) -> None:

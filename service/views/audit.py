@@ -324,10 +324,10 @@ def _followed(spec: SweepSpec, query: AuditQuery) -> int:
     return int(min(FOLLOWED_SECONDS / seconds, FOLLOWED))
 
 
-def affordable(spec: SweepSpec, seconds: float) -> int | None:
-    """Cells of each sample that take this many core-seconds, by the table; None if too few."""
+def affordable(spec: SweepSpec, seconds: float) -> AuditQuery | None:
+    """The audit without time steps that takes these core-seconds, by the table; None with too few cells."""
     cells = int(seconds / (HARD_AND_POINTS * audit.reference_seconds(spec)))
-    return None if cells < FEWEST_AFFORDED else min(cells, MOST_BY_DEFAULT)
+    return None if cells < FEWEST_AFFORDED else AuditQuery(cells=min(cells, MOST_BY_DEFAULT), followed=0)
 
 
 def is_compiled(study: Stored[SweepSpec]) -> bool:
@@ -337,10 +337,8 @@ def is_compiled(study: Stored[SweepSpec]) -> bool:
 
 def within(spec: SweepSpec, seconds: float) -> AuditQuery | None:
     """The audit that fits into these core-seconds, by the table: the usual one, a smaller one, or None."""
-    usual, cells = AuditQuery(), affordable(spec, seconds)
-    if _seconds(spec, usual) <= seconds:
-        return usual
-    return None if cells is None else AuditQuery(cells=cells, followed=0)
+    usual = AuditQuery()
+    return usual if _seconds(spec, usual) <= seconds else affordable(spec, seconds)
 
 
 def _seconds(spec: SweepSpec, query: AuditQuery) -> float:

@@ -68,16 +68,16 @@ def plan(
     on the recommended setting's seconds and on its share.
     """
     random, thorough = np.random.default_rng(seed), settings[0].spec
-    wrong, undecided = _wrong_at(_points(random, thorough, FIRST), settings, thorough)
+    wrong, undecided = _wrong_at(random, FIRST, settings, thorough)
     shares = [_share(first, undecided) for first in wrong]
     best = min(share.high for share in shares)
     left = [i for i, share in enumerate(shares) if share.low <= best]
-    more, more_undecided = _wrong_at(_points(random, thorough, MORE), [settings[i] for i in left], thorough)
+    more, more_undecided = _wrong_at(random, MORE, [settings[i] for i in left], thorough)
     undecided = np.concatenate([undecided, more_undecided])
     for i, second in zip(left, more, strict=True):
         shares[i] = _share(np.concatenate([wrong[i], second]), undecided)
     chosen = candidates(settings, shares, budget, tolerance)
-    fresh, undecided = _wrong_at(_points(random, thorough, FRESH), [settings[i] for i in chosen], thorough)
+    fresh, undecided = _wrong_at(random, FRESH, [settings[i] for i in chosen], thorough)
     for i, third in zip(chosen, fresh, strict=True):
         shares[i] = _share(third, undecided, looks=len(chosen))
     return shares, recommended(chosen, shares, tolerance)
@@ -128,15 +128,11 @@ def _along_gamma(spec: SweepSpec) -> tuple[Line, float]:
     return record, cost
 
 
-def _points(random: np.random.Generator, spec: SweepSpec, number: int) -> NDArray[np.float64]:
-    """Random places in the grid, (number, 3), in cells along AXES."""
-    return np.asarray(random.uniform(0.0, np.array(spec.shape[1:]) - 1.0, (number, 3)))
-
-
 def _wrong_at(
-    points: NDArray[np.float64], settings: Sequence[Setting], spec: SweepSpec
+    random: np.random.Generator, number: int, settings: Sequence[Setting], spec: SweepSpec
 ) -> tuple[list[NDArray[np.bool_]], NDArray[np.bool_]]:
-    """Whether each setting is wrong at the points (n,), and whether the reference of `spec` is undecided."""
+    """Whether each setting is wrong at n random points, and whether the reference of `spec` is undecided."""
+    points = random.uniform(0.0, np.array(spec.shape[1:]) - 1.0, (number, 3))  # in cells along AXES
     axes = [spec.axis_values(axis) for axis in AXES]
     values = [np.interp(points[:, i], np.arange(len(along)), along) for i, along in enumerate(axes)]
     cells = [Cell(gamma, omega, xi) for xi, omega, gamma in np.stack(values, axis=1).tolist()]

@@ -151,7 +151,7 @@ class GridSpec(Specification):
             needed = f"must be at least settle + 2 × observe, {effective:,}, to have an effect"
             raise BrokenRuleError("settle_until", f"{needed}; or leave it out")
         if isinstance(self.model, Stepped) and self.settle_until is not None:
-            check_steps(self.model, corners(*map(self.axis_values, ("gamma", "omega", "xi"))), self.until)
+            check_steps(self.model, corners(self), self.until)
 
     @property
     def until(self) -> int:

@@ -15,6 +15,7 @@ from kernel.step_limits import (
 )
 from worker.spec.contact_models import Stepped, penetration_of
 from worker.spec.errors import BrokenRuleError
+from worker.spec.specification import Specification
 
 #: About two minutes of computing: a worker checks the cancel flag only between cells.
 MOST_STEPS_PER_CELL: Final = 10_000_000_000
@@ -28,13 +29,13 @@ class Cells(NamedTuple):
     xi: NDArray[np.float64]
 
 
-def corners(gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]) -> Cells:
-    """The (up to) eight corners of a grid.
+def corners(spec: Specification) -> Cells:
+    """The (up to) eight corners of a specification's grid.
 
     Both numbers of steps in `kernel.step_limits` are monotonic in each parameter, also where a rest length
     makes the contact's depth proportional to Omega**2/Gamma. So the largest number of a grid is at a corner.
     """
-    ends = (sorted({float(axis[0]), float(axis[-1])}) for axis in (gamma, omega, xi))
+    ends = (sorted({*spec.axis_values(axis)[[0, -1]].tolist()}) for axis in Cells._fields)
     table = np.array(list(product(*ends)))
     return Cells(table[:, 0], table[:, 1], table[:, 2])
 

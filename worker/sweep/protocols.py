@@ -1,15 +1,8 @@
 """Protocols of a sweep: cells start from rest, or on a ramp from the final state of the cell before."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Discriminator,
-    Field,
-    SerializerFunctionWrapHandler,
-    Tag,
-    model_serializer,
-)
+from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from worker.spec.axes import WHOLE, Strict, check_kind, kind_of
 from worker.spec.errors import BrokenRuleError, describe
@@ -66,15 +59,8 @@ class Ramp(Strict):
     kind: Literal["ramp"] = "ramp"
     axis: AxisName
     direction: Literal["up", "down", "both"]
-    start: Start = None
-
-    @model_serializer(mode="wrap")
-    def _plain(self, default: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit a start from rest: ids of jobs made before the field existed must not change."""
-        plain: dict[str, Any] = default(self)
-        if self.start is None:
-            plain.pop("start", None)
-        return plain
+    #: Excluded from rest: ids of jobs made before the field existed must not change.
+    start: Annotated[Start, Field(exclude_if=lambda start: start is None)] = None
 
 
 #: The protocols of a sweep by kind.

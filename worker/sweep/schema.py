@@ -106,7 +106,6 @@ def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
         directions,
     )
     if isinstance(spec.model, Stepped):
-        axes = (spec.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-        steps = stated(spec.model, corners(*axes))
+        steps = stated(spec.model, corners(spec))
         return replace(whole, attributes={**whole.attributes, "time_steps": steps})
     return whole

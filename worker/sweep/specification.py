@@ -187,8 +187,7 @@ class SweepSpec(Specification):
         self._check_depth()
         self._check_start()
         if isinstance(self.model, Stepped):
-            axes = (self.axis_values(axis) for axis in ("gamma", "omega", "xi"))
-            check_steps(self.model, corners(*axes), max(sum(self.window), self.settles_until or 0))
+            check_steps(self.model, corners(self), max(sum(self.window), self.settles_until or 0))
         return self
 
     def _check_until(self) -> None:

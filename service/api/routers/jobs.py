@@ -184,19 +184,19 @@ def resume_job(service: ServiceDep, job: JobDep, owner: OwnerDep) -> Response:
 @_post("/jobs/{job_id}/pin", "Pin a job", 404)
 def pin_job(service: ServiceDep, job: JobDep) -> Response:
     """Marks the job, so that lists can show it apart; repeating the request changes nothing."""
-    return _job_response(service.manager.pin(job.id, True), 200)
+    return _job_response(service.manager.label(job.id, pinned=True), 200)
 
 
 @_post("/jobs/{job_id}/unpin", "Unpin a job", 404)
 def unpin_job(service: ServiceDep, job: JobDep) -> Response:
     """Takes the mark away; repeating the request changes nothing."""
-    return _job_response(service.manager.pin(job.id, False), 200)
+    return _job_response(service.manager.label(job.id, pinned=False), 200)
 
 
 @_post("/jobs/{job_id}/rename", "Rename a job", 400, 404, 413, 415, 422, openapi_extra=json_body("NewName"))
 def rename_job(service: ServiceDep, job: JobDep, body: JsonBody) -> Response:
     """Gives the job another name. Its id and numbers stay; a store written before keeps the title it has."""
-    return _job_response(service.manager.rename(job.id, schemas.NewName.from_json(body).name), 200)
+    return _job_response(service.manager.label(job.id, name=schemas.NewName.from_json(body).name), 200)
 
 
 @_post(

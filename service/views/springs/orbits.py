@@ -29,7 +29,6 @@ from service.views.springs.branches import (
     with_flights,
 )
 from service.views.springs.queries import (
-    KEPT,
     MAX_GAMMA,
     ContactQuery,
     GammaMax,
@@ -98,16 +97,14 @@ def parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     ]
 
 
-@lru_cache(KEPT)  # called several times for an answer
 def _seconds(query: OrbitsQuery) -> float:
     """Core-seconds of the branches in closed form."""
     return sum(branch_seconds(*grid) for grid in _grids(query))
 
 
-@lru_cache(KEPT)  # called several times for an answer
-def _grids(query: OrbitsQuery) -> tuple[tuple[float, float, int, int], ...]:
+def _grids(query: OrbitsQuery) -> list[tuple[float, float, int, int]]:
     """Spring, plate periods and points of each branch."""
-    return tuple((query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes))
+    return [(query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes)]
 
 
 def compute(
@@ -154,7 +151,8 @@ def compute(
     return closed_form(data, coords, model=model, **varies, gamma_max=query.gamma_max)
 
 
-_branch = lru_cache(KEPT)(branch_and_events)
+#: The last branches of a process are kept.
+_branch = lru_cache(64)(branch_and_events)
 
 
 def estimate(spec: None, query: OrbitsQuery) -> Estimate:

@@ -1,7 +1,6 @@
 """What queries of a spring have in common: its contact, the modes of its cycles, limits."""
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Annotated, Final, Literal
 
 from pydantic import Field
@@ -20,8 +19,6 @@ MAX_GAMMA: Final = 1e6
 GammaMax = Annotated[
     Number, Field(gt=0, le=MAX_GAMMA, description="branches and curves are cut above this Γ")
 ]
-#: Branches and estimates kept in a process; the least recently used ones are dropped.
-KEPT: Final = 64
 
 #: The contacts whose cycles are followed, and their parameters.
 _CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}
@@ -72,7 +69,6 @@ def parse_modes(text: str) -> tuple[Mode, ...]:
     return tuple(sorted(modes))
 
 
-@lru_cache(KEPT)  # called several times for an answer
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
     """Number of flight times of a branch. Raises InvalidRequest above MAX_GRID, and if there is no branch."""
     try:

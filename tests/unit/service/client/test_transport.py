@@ -290,14 +290,14 @@ def test_an_unchanged_job_is_requested_by_its_etag():
 
 
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(transport, "OUTAGE_DELAY", 0.01)
+    monkeypatch.setattr(transport, "ASK_DELAY", 0.01)
     gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
 
 
 def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(transport, "OUTAGE_DELAY", 0.01)
+    monkeypatch.setattr(transport, "ASK_DELAY", 0.01)
     full, done = Answer(429, {"detail": "full"}), Answer(202, view("done", 10))
     with scripted(full, done, *[LOST] * 3, Answer(503, {}), full, done) as (_, client):
         assert [job.state for job in client.map([{}, {}])] == ["done", "done"]
@@ -306,7 +306,7 @@ def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue(monkeypa
 
 
 def test_a_result_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(transport, "OUTAGE_DELAY", 0.01)
+    monkeypatch.setattr(transport, "ASK_DELAY", 0.01)
     computing = Answer(202, {"progress": {"parts_done": 0, "parts_total": 1}}, Retry_After="0")
     with scripted(Answer(body=view("done", 10)), computing, *[LOST] * 3, Answer(body={})) as (_, client):
         assert client.job(ID).result_file("threshold", "json", progress=False) == b"{}"
