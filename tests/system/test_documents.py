@@ -28,7 +28,6 @@ def compiled_kernels() -> None:
     use_cache(CACHE)
 
 
-@pytest.mark.essential
 @pytest.mark.usefixtures("compiled_kernels")
 def test_blocks_of_the_readme_run_in_order(tmp_path: Path):
     with Session(tmp_path) as session:

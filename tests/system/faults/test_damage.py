@@ -126,7 +126,6 @@ def test_every_read_of_a_damaged_chunk_is_an_error(tmp_path: Path):
         (url / address).write_bytes(intact[url / address])
 
 
-@pytest.mark.essential
 def test_queries_never_return_damaged_bytes_and_repair_them(tmp_path: Path):
     """Each response is right, 503 with the chunk's name, or marked incomplete; all are right in the end."""
     chance, spec = random.Random(4), SWEEP

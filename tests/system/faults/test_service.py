@@ -45,11 +45,7 @@ STEPS = (
     "job ends",
 )
 #: The step, and how many times it comes before the service is killed.
-KILLS = [
-    pytest.param(step, times, marks=[pytest.mark.essential] * ((step, times) == ("in the transaction", 1)))
-    for step in STEPS
-    for times in (1, 3)
-]
+KILLS = [(step, times) for step in STEPS for times in (1, 3)]
 
 SWEEP = spec_of((2.0, 5.0, 40), 0.5, 0.26, window=(10_000, 20, 8))
 

@@ -340,19 +340,18 @@ def test_a_damping_that_was_not_searched_is_said_to_be(python_client: Client):
     assert np.isnan([spring.down, spring.lifetime, spring.impact]).all()
     assert "from xi = 0.04 on" in spring.reason.item()
     assert "Eq. 25, Gamma = 0.843762" in spring.reason.item()
-    weak = RAMP | {"gamma": [0.7, 0.9], "omega": [0.3191, 0.52], "xi": 0.02}
+    weak = RAMP | {"gamma": [0.7, 0.9], "omega": 0.52, "xi": 0.02}
     job = python_client.submit(weak).wait(progress=False)
     for predict in ("some", "all", "cells"):
         found = job.threshold(predict=predict, progress=False)
-        assert found.cause.values.tolist() == ["not searched"] * 2
+        assert found.cause.values.tolist() == ["not searched"]
         assert np.isnan(found.predicted_down.values).all()
     ax = Figure().subplots()
     draw_thresholds(ax, found)
-    assert "closed form, not searched: 2 of 2" in [str(line.get_label()) for line in ax.lines]
+    assert "closed form, not searched: 1 of 1" in [str(line.get_label()) for line in ax.lines]
     found = job.threshold(predict="search", progress=False)
-    assert found.cause.values.tolist()[1] == "fold of word zsss (4,3), searched"
-    assert found.predicted_down.values[0] < 0.8573
-    assert found.predicted_down.values[1] == pytest.approx(0.7925441522, abs=1e-9)
+    assert found.cause.values.tolist() == ["fold of word zsss (4,3), searched"]
+    assert found.predicted_down.values == pytest.approx(0.7925441522, abs=1e-9)
     ax = Figure().subplots()
     draw_thresholds(ax, found)
     (marks,) = (line for line in ax.lines if line.get_label() == "searched, down")
