@@ -1,5 +1,7 @@
 // Drawing on the 2D context of a canvas.
 
+const PIECE = 6; // px, of a smooth curve drawn as a line
+
 /** Canvas pixels per CSS pixel, at most two: more costs time and shows no difference. */
 export const pixelRatio = () => Math.min(devicePixelRatio || 1, 2);
 
@@ -33,6 +35,47 @@ export function polyline(ctx, colour, width, points, dash = []) {
   path(ctx, points);
   ctx.stroke();
   ctx.setLineDash([]);
+}
+
+/** The smooth curve through `points`, [x, y] in axis values or null, in pixels; null where it is outside the box. */
+export function curve(points, box) {
+  const pixels = [];
+  const pixel = ([x, y]) => [box.x.pixel(x), box.y.pixel(y)];
+  const isOutside = (a, b, low, high, margin) => Math.max(a, b) < low - margin || Math.min(a, b) > high + margin;
+  for (let i = 1; i < points.length; i++) {
+    if (!points[i - 1] || !points[i]) {
+      pixels.push(null);
+      continue;
+    }
+    const at = cubic(points, i);
+    const draw = (start, a, end, b, halvings) => {
+      const length = Math.hypot(b[0] - a[0], b[1] - a[1]);
+      if (isOutside(a[0], b[0], box.left, box.left + box.width, length) || isOutside(a[1], b[1], box.top, box.top + box.height, length)) pixels.push(null);
+      else if (length < PIECE || !halvings) pixels.push(...(pixels.at(-1) ? [b] : [a, b]));
+      else {
+        const middle = (start + end) / 2;
+        const between = pixel(at(middle));
+        draw(start, a, middle, between, halvings - 1);
+        draw(middle, between, end, b, halvings - 1);
+      }
+    };
+    draw(0, pixel(points[i - 1]), 1, pixel(points[i]), 48);
+  }
+  return pixels;
+}
+
+/** The cubic from the point before `i` to that at `i`, through their neighbours too, of 0 to 1. */
+function cubic(points, i) {
+  const [from, to] = [points[i - 1], points[i]];
+  const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+  const length = distance(from, to);
+  const nodes = [[0, from], [1, to]];
+  for (const [neighbour, end, sign] of [[points[i - 2], from, -1], [points[i + 1], to, 1]]) {
+    const beyond = neighbour ? distance(neighbour, end) / length : 0;
+    if (beyond > 0.01) nodes.push([sign < 0 ? -beyond : 1 + beyond, neighbour]); // nearer ones add rounding
+  }
+  const weight = (t, node) => nodes.reduce((product, [other]) => (other === node ? product : (product * (t - other)) / (node - other)), 1);
+  return (t) => [0, 1].map((axis) => nodes.reduce((sum, [node, point]) => sum + weight(t, node) * point[axis], 0));
 }
 
 export function polygon(ctx, colour, points, opacity = 1) {
