@@ -623,6 +623,7 @@ def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop
         still = page.locator(".trajectory .player").get_attribute("data-phase")
         page.wait_for_timeout(120)
         assert page.locator(".trajectory .player").get_attribute("data-phase") == still
+        page.get_by_role("button", name="Close").click()
         assert page.locator(".trajectory").is_hidden()
 
 
