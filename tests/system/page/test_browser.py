@@ -762,6 +762,16 @@ def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_u
     with opened(browser, view(address, job, cell=f"{gamma[3]},0.5,0.2,rest")) as page:
         page.get_by_text("Γ 1.23456 – 1.23457 (11)").wait_for()
         page.get_by_text("Γ = 1.234563, Ω = 0.5, ξ = 0.2, from rest").wait_for()
+        page.keyboard.press("Escape")
+        box = page.locator(".panel .plot").bounding_box()
+        page.mouse.move(box["x"] + 400, box["y"] + 100)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 405, box["y"] + 500, steps=5)
+        page.mouse.move(box["x"] + 480, box["y"] + 500, steps=5)
+        page.mouse.up()
+        page.wait_for_url(re.compile("x0="))
+        assert 5e-7 < _width(page) < 2e-6
+        page.get_by_role("button", name="Show everything").click()
         page.get_by_text("Table of what is shown").click()
         rows = page.locator(".paged tbody tr")
         wait_for(lambda: rows.count() == len(gamma))

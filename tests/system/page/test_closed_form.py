@@ -56,6 +56,24 @@ def readout_at(page: Any, at: list[float]) -> str:
     return str(page.locator(".panel .readout").inner_text())
 
 
+#: Pixels of a plot, 1,000 wide, of Γ from 0.5 to 0.5 + 1e-6 and φ from 4 to 4.001, and of a curve in it, through
+#: points of a parabola.
+CURVE = """import(new URL("static/js/plot/drawing.js", location)).then(({ curve }) => {
+    const axis = (low, high) => ({ pixel: (value) => (1000 * (value - low)) / (high - low) });
+    const box = { left: 0, top: 0, width: 1000, height: 1000, x: axis(0.5, 0.5 + 1e-6), y: axis(4, 4.001) };
+    const points = Array.from({ length: 60 }, (_, i) => 3.7 + 0.016 * i).map((y) => [0.5 + (y - 4.0004) ** 2, y]);
+    return curve([...points, null, [9, 9]], box).filter(Boolean);
+})"""
+
+
+def test_a_window_shows_a_branch_as_the_curve_that_it_is(browser: Any, address: str):
+    with opened(browser, address) as page:
+        drawn = page.evaluate(CURVE)
+    assert 150 < len(drawn) < 1000
+    for x, y in drawn:
+        assert x == pytest.approx(1e9 * (1e-6 * y - 0.0004) ** 2, abs=0.01)
+
+
 def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, address: str, loop: str):
     with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05") as page:
         wait_shown(page, omega=0.6)

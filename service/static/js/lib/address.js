@@ -2,9 +2,10 @@
 
 import { query as encode } from "./api.js";
 import { debounced } from "./dom.js";
-import { AXES } from "./physics.js";
+import { AXES, clamp } from "./physics.js";
 
 const WINDOW = ["x0", "x1", "y0", "y1"];
+const NARROWEST = 1e-12; // of the values: numbers end at 1e-16
 
 /** The current address: {path: ["job", ID, "diagram"], query: {omega: "0.5"}}. */
 export function currentAddress() {
@@ -58,11 +59,17 @@ export function discardPending() {
 /** The zoom window {x0, x1, y0, y1} in a query; null without a valid one. */
 export function windowIn(query) {
   const [x0, x1, y0, y1] = WINDOW.map((name) => Number(query[name] ?? NaN));
-  return x0 < x1 && y0 < y1 && Number.isFinite(x1 - x0 + y1 - y0) ? { x0, x1, y0, y1 } : null;
+  const isWide = (low, high) => high - low > NARROWEST * Math.max(Math.abs(low), Math.abs(high)) && Number.isFinite(high - low);
+  return isWide(x0, x1) && isWide(y0, y1) ? { x0, x1, y0, y1 } : null;
 }
 
-/** A zoom window as query parameters; null removes it. */
-export const windowQuery = (window) => Object.fromEntries(WINDOW.map((name) => [name, window ? Number(window[name].toPrecision(6)) : null]));
+/** A zoom window as query parameters, to a millionth of its sides; null removes it. */
+export function windowQuery(window) {
+  const digits = (end, side) => clamp(Math.ceil(6 + Math.log10(Math.abs(end) / side)), 6, 17);
+  return Object.fromEntries(WINDOW.map((name) => [name, window && rounded(window[name], digits(window[name], window[`${name[0]}1`] - window[`${name[0]}0`]))]));
+}
+
+const rounded = (value, digits) => Number(value.toPrecision(digits));
 
 /** A selected cell as query parameters, with its axis values for the sliders. */
 export function cellQuery({ direction, ...cell }) {
@@ -76,5 +83,5 @@ export function cellIn({ cell = "" }) {
   return direction !== undefined && [gamma, omega, xi].every(Number.isFinite) ? { gamma, omega, xi, direction } : null;
 }
 
-/** An axis value as addresses hold it: ten significant digits. */
-export const addressValue = (value) => Number(value.toPrecision(10));
+/** An axis value as addresses hold it: fifteen significant digits. */
+export const addressValue = (value) => rounded(value, 15);

@@ -55,7 +55,8 @@ export function costText(cost) {
   const first = cost.basis === "measured" ? "" : ", once its kernel is compiled";
   const [least, most] = cost.computed_cells ?? []; // of an adaptive map
   const computed = most === undefined ? "" : `, about ${count(least)} to ${count(most)} of them computed,`;
-  const time = most === undefined ? elapsed(cost.core_seconds) : `${elapsed(cost.least_core_seconds)} to ${elapsed(cost.core_seconds)}`;
+  const times = [most === undefined ? cost.core_seconds : cost.least_core_seconds, cost.core_seconds].map(elapsed);
+  const time = [...new Set(times)].join(" to ");
   const cells = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")}`;
   return `${cells} · about ${time} on ${where}${first} · up to ${bytes(cost.bytes)}`;
 }

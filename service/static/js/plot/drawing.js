@@ -1,5 +1,7 @@
 // Drawing on the 2D context of a canvas.
 
+const PIECE = 6; // px, of a smooth curve drawn as a line
+
 /** Canvas pixels per CSS pixel, at most two: more costs time and shows no difference. */
 export const pixelRatio = () => Math.min(devicePixelRatio || 1, 2);
 
@@ -33,6 +35,50 @@ export function polyline(ctx, colour, width, points, dash = []) {
   path(ctx, points);
   ctx.stroke();
   ctx.setLineDash([]);
+}
+
+/** The smooth curve through `points`, [x, y] in axis values or null, in pixels; null where it is outside the box. */
+export function curve(points, box) {
+  const pixels = [];
+  const add = (piece, halvings) => { // within the hull of its four points
+    const [xs, ys] = [piece.map(([x]) => box.x.pixel(x)), piece.map(([, y]) => box.y.pixel(y))];
+    const [left, right, top, bottom] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    if (right < box.left || left > box.left + box.width || bottom < box.top || top > box.top + box.height) pixels.push(null);
+    else if (halvings && Math.max(right - left, bottom - top) > PIECE) for (const half of halves(piece)) add(half, halvings - 1);
+    else pixels.push(...(pixels.at(-1) ? [] : [[xs[0], ys[0]]]), [xs[3], ys[3]]);
+  };
+  for (let i = 1; i < points.length; i++) {
+    if (points[i - 1] && points[i]) add(cubic(points, i), 50);
+    else pixels.push(null);
+  }
+  return pixels;
+}
+
+const mixed = (a, b) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
+
+/** Both halves of a Bézier curve. */
+function halves([a, b, c, d]) {
+  const [ab, bc, cd] = [mixed(a, b), mixed(b, c), mixed(c, d)];
+  const [abc, bcd] = [mixed(ab, bc), mixed(bc, cd)];
+  const middle = mixed(abc, bcd);
+  return [[a, ab, abc, middle], [middle, bcd, cd, d]];
+}
+
+/** The Bézier curve from the point before `i` to that at `i`, of the cubic through their neighbours too: of y, as closed forms are. */
+function cubic(points, i) {
+  const [from, to] = [points[i - 1], points[i]];
+  const distance = (a, b) => Math.hypot(0.01 * (a[0] - b[0]), a[1] - b[1]); // where y is the same, of x
+  const nodes = [[0, from], [1, to]];
+  const add = (neighbour, end, at) => {
+    const beyond = neighbour ? distance(neighbour, end) / distance(from, to) : 0;
+    if (beyond > 0.01 && beyond < 100) nodes.push([at(beyond), neighbour]); // others add rounding
+  };
+  add(points[i - 2], from, (beyond) => -beyond);
+  add(points[i + 1], to, (beyond) => 1 + beyond);
+  const weight = (t, node) => nodes.reduce((product, [other]) => (other === node ? product : (product * (t - other)) / (node - other)), 1);
+  const [first, second] = [1 / 3, 2 / 3].map((t) => [0, 1].map((axis) => nodes.reduce((sum, [node, point]) => sum + weight(t, node) * point[axis], 0)));
+  const control = (near, far, a, b) => [0, 1].map((axis) => (-5 * near[axis] + 18 * a[axis] - 9 * b[axis] + 2 * far[axis]) / 6);
+  return [from, control(from, to, first, second), control(to, from, second, first), to];
 }
 
 export function polygon(ctx, colour, points, opacity = 1) {

@@ -8,6 +8,7 @@ const FONT_SIZE = 13;
 const LEGEND_SPACE = 50; // px, of an entry's symbol and the spaces around it
 const HEADING_HEIGHT = 22; // px, of a line of the title or the legend
 const HEADING_MARGIN = 92; // px, left and right of them
+const LABEL_SPACE = 14; // px, between two texts of ticks
 const NARROW = 520; // px: below this width, margins and ticks are smaller
 
 /** The plot box: the data area between the margins, in pixels, the scales of its axes, and its texts once it is drawn. */
@@ -44,6 +45,14 @@ function leftMargin(ctx, { low, high, log }, height, theme, narrow) {
 
 const yTicks = (low, high, height, log) => ticks(low, high, height / 44, log);
 
+/** Ticks at least `distance` px and the widest text apart. */
+function xTicks(ctx, { low, high, log }, width, theme, distance) {
+  const marks = ticks(low, high, width / distance, log);
+  ctx.font = `${FONT_SIZE}px ${theme.serif}`;
+  const widest = Math.max(0, ...marks.map(({ text }) => ctx.measureText(text).width)) + LABEL_SPACE;
+  return widest > distance ? ticks(low, high, width / widest, log) : marks;
+}
+
 /** Faint lines at whole plate periods (multiples of 2π), labelled on the right. */
 export function drawPeriods(ctx, box) {
   const first = Math.max(1, Math.ceil(box.y.low / TWO_PI));
@@ -65,16 +74,15 @@ export function drawFrame(ctx, box, { x, y }) {
   drawTicks(ctx, box, y.periods);
   const title = { align: "center", size: FONT_SIZE + 3, italic: true };
   ctx.font = `italic ${title.size}px ${theme.serif}`;
-  if (x.label) texts.push({ ...title, text: x.label, x: left + width / 2, y: top + height + 36 });
-  const fits = ctx.measureText(y.label).width < height + 24;
-  const yLabel = fits ? y.label : y.label.replace(/.* (?=[ΓΩξφ])/, ""); // or its symbol alone
-  if (yLabel) texts.push({ ...title, text: yLabel, x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
+  const fitting = (label, space) => (ctx.measureText(label).width < space ? label : label.replace(/.* (?=[ΓΩξφ])/, "")); // or its symbol alone
+  if (x.label) texts.push({ ...title, text: fitting(x.label, width + 44), x: left + width / 2, y: top + height + 36 });
+  if (y.label) texts.push({ ...title, text: fitting(y.label, height + 24), x: box.narrow ? 8 : 12, y: top + height / 2, turned: true });
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures; on the right there may be labels of plate periods instead. */
 function drawTicks(ctx, { x, y, left, top, width, height, narrow, theme, texts }, periods) {
   const [right, bottom] = [left + width, top + height];
-  for (const { value, text } of ticks(x.low, x.high, width / (narrow ? 46 : 62), x.log)) {
+  for (const { value, text } of xTicks(ctx, x, width, theme, narrow ? 46 : 62)) {
     const px = clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5;
     polyline(ctx, theme.text, 1, [[px, bottom - 6], [px, bottom], null, [px, top], [px, top + 6]]);
     texts.push({ text, x: px, y: bottom + 14, align: "center" });

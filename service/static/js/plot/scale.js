@@ -19,7 +19,7 @@ export function ticks(low, high, n, log = false, tries = 3) {
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough * 0.999);
   const values = [];
-  for (let i = Math.ceil(low / step - 1e-9); i * step <= high * (1 + 1e-12) + step * 1e-9; i++) values.push(i * step);
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high * (1 + 1e-15) + step * 1e-9; i++) values.push(i * step);
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   if (values.length < 3 && tries) {
     const finer = ticks(low, high, 2 * Math.max(n, 1), false, tries - 1);

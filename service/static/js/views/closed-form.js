@@ -5,7 +5,7 @@ import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.j
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { SYMBOL, contactQuery, cycleText, hasOwnCycles } from "../lib/physics.js";
-import { circle, disc, isInBox, legendLine, polyline } from "../plot/drawing.js";
+import { circle, curve, disc, isInBox, legendLine, polyline } from "../plot/drawing.js";
 
 const FOLD_MODES = "1-1,1-2";
 const POINTS = 400; // of a branch, at least
@@ -94,7 +94,7 @@ export function foldsOver(view) {
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
 export function drawFolds(ctx, box, { curves, points }) {
   const pixel = (omega, gamma) => [box.x.pixel(omega), box.y.pixel(gamma)];
-  const lines = curves.map(({ omega, gamma, violations }) => Array.from(omega, (value, i) => (violations[i] ? null : pixel(value, gamma[i]))));
+  const lines = curves.map(({ omega, gamma, violations }) => curve(Array.from(omega, (value, i) => (violations[i] ? null : [value, gamma[i]])), box));
   for (const line of lines) polyline(ctx, box.theme.branch, FOLD_WIDTH, line);
   drawEvents(ctx, box, points.map((point) => ({ ...point, position: pixel(point.omega, point.gamma) })), lines.flat().filter(Boolean));
 }
@@ -106,7 +106,7 @@ export function drawBranches(ctx, box, { branches, events }) {
   const pixel = ({ gamma, flight_time: time }) => [box.x.pixel(gamma), box.y.pixel(time)];
   for (const { stable, points } of branches.flatMap((branch) => runsOf(branch, events))) {
     const { width, dash } = stable ? STABLE : UNSTABLE;
-    polyline(ctx, box.theme.branch, width, points.map(pixel), dash);
+    polyline(ctx, box.theme.branch, width, curve(points.map(({ gamma, flight_time: time }) => [gamma, time]), box), dash);
   }
   const cycles = branches.flat().filter(({ violations }) => !violations);
   drawEvents(ctx, box, events.map((event) => ({ ...event, position: pixel(event) })), cycles.map(pixel));

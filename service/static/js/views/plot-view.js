@@ -152,7 +152,9 @@ export class PlotView {
   }
 
   #zoom(window, isStep = true) {
-    if ((window || this.window) && !this.isBeside) setQuery(windowQuery(window), isStep);
+    const query = windowQuery(window);
+    const isPossible = window ? windowIn(query) : this.window;
+    if (isPossible && !this.isBeside) setQuery(query, isStep);
   }
 
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
