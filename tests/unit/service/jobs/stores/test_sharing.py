@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from pyarrow import parquet
@@ -107,18 +108,22 @@ def _swapped(contents: dict[str, bytes]) -> None:
     contents[one], contents[other] = contents[other], contents[one]
 
 
-def _impossible(contents: dict[str, bytes]) -> None:
+def _impossible(array: str, value: float) -> Callable[[bytes], bytes]:
     """A chunk of numbers that no cell has, with its seal."""
-    spec = from_json(json.dumps(RAMP))
-    plan = study_of(spec).plan(spec)
-    layout = study_of(spec).variables(spec, plan.chunk_shape)
-    with TemporaryDirectory() as folder:
-        url = f"{folder}/a.zarr"
-        store.restore(url, {key: contents[key] for key in store.keys_of(layout, plan)}, layout)
-        record = store.read_chunk(url, plan[0], layout.names)
-        record["flights"][...] = 2**31 - 1
-        store.write_chunk(url, plan[0], record)
-        contents |= files(Path(url))
+
+    def change(contents: dict[str, bytes]) -> None:
+        spec = from_json(json.dumps(RAMP))
+        plan = study_of(spec).plan(spec)
+        layout = study_of(spec).variables(spec, plan.chunk_shape)
+        with TemporaryDirectory() as folder:
+            url = f"{folder}/a.zarr"
+            store.restore(url, {key: contents[key] for key in store.keys_of(layout, plan)}, layout)
+            record = store.read_chunk(url, plan[0], layout.names)
+            record[array][...] = value
+            store.write_chunk(url, plan[0], record)
+            contents |= files(Path(url))
+
+    return _resealed(change)
 
 
 @for_each(
@@ -129,7 +134,9 @@ def _impossible(contents: dict[str, bytes]) -> None:
         (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
         (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
         (_resealed(_swapped), 422, "is damaged"),
-        (_resealed(_impossible), 422, "is damaged"),
+        (_impossible("flights", 2**31 - 1), 422, "is damaged"),
+        (_impossible("end_state", np.nan), 422, "is damaged"),
+        (_impossible("end_state", 7.0), 422, "is damaged"),  # a phase beyond 2 pi
         (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
         (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
         (_resealed(lambda contents: contents.update(runs=NEVER)), 422, "is damaged"),
