@@ -116,9 +116,10 @@ def import_shared(
         with ledger.writing() as writing:
             writing.delete(job)
         raise InvalidRequest.of("file", _DAMAGED)
-    for other in find_unknown(ledger, settings):  # left by an interrupted import
-        if id_of(other) == job_id:
-            store.remove(settings.store_of(other))
+    for other in find_unknown(ledger, settings):
+        url = settings.store_of(other)
+        if id_of(other) == job_id and store.ROOT not in store.names_in(url):  # of an interrupted import
+            store.remove(url)
     with ledger.writing() as writing:
         writing.update(job, name=given, runs=runs)
     return replace(job, name=given, runs=runs), True

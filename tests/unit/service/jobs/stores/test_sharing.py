@@ -5,6 +5,7 @@ import html
 import io
 import json
 import re
+import shutil
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -78,6 +79,20 @@ def test_it_is_the_same_job_with_the_same_bytes(
     wait_for(lambda: len(list((folder / "stores").glob("*.zarr*"))) == 1)
     assert files(store_in(folder, job["id"])) == stored
     assert client.delete(here).status_code == 204
+
+
+def test_a_whole_store_that_the_ledger_does_not_know_stays(
+    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path]
+):
+    (page, stored), (client, folder) = shared, elsewhere
+    root = folder / "stores" / f"1000-{from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION)}.zarr" / "zarr.json"
+    root.parent.mkdir(parents=True)
+    root.write_bytes(stored["zarr.json"])
+    answer = client.post("/v1/imports", content=page, headers=HTML)
+    assert answer.status_code == 201
+    assert root.read_bytes() == stored["zarr.json"]
+    shutil.rmtree(root.parent)
+    assert client.delete(answer.headers["Location"]).status_code == 204
 
 
 def _resealed(change: Callable[[dict[str, bytes]], None]) -> Callable[[bytes], bytes]:
