@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shutil
+import tracemalloc
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ from stores import files, store_in
 from tables import for_each
 
 from kernel.params import KERNEL_VERSION
+from service.errors import InvalidRequest
 from service.jobs.stores import sharing
 from worker import store
 from worker.studies import from_json, study_of
@@ -30,6 +32,13 @@ HTML = {"Content-Type": "application/octet-stream"}
 
 #: Software of a time that no file could tell.
 NEVER = b'[{"release": "1", "python": "3", "libraries": {}, "processor": "", "began": 1e300}]'
+
+#: Texts that hold more objects than any shared file, in as many bytes.
+CROWDED = (
+    '{"a": [' + "{}, " * 1_000_000 + "{}]}",
+    "{" + ", ".join(f'"{i}": ""' for i in range(300_000)) + "}",
+    json.dumps({"zarr.json": b64encode(b'{"attributes": [' + b"{}, " * 1_000_000 + b"{}]}").decode()}),
+)
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +165,8 @@ def _impossible(array: str, value: float) -> Callable[[bytes], bytes]:
         (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
         (_resealed(lambda contents: contents.update(runs=NEVER)), 422, "is damaged"),
         (_root(KERNEL_VERSION, "0"), 422, "computed by kernel version 0"),
+        (_root('"attributes": {', '"attributes": [], "": {'), 422, "is damaged"),
+        (_root('"spec": ', '"spec": [], "": '), 422, "is damaged"),
         (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
         (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
     ],
@@ -169,6 +180,18 @@ def test_what_is_none_is_refused_in_one_sentence(
     assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
     assert get(client, "/v1/jobs")["jobs"] == []
     wait_for(lambda: not list((folder / "stores").glob("*.zarr*")))
+
+
+@for_each("text", CROWDED)
+def test_what_holds_more_than_any_is_refused_unparsed(text: str):
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    page = f'{sharing._OPENS}{digest}">{text}</script>'.encode()
+    tracemalloc.start()
+    with pytest.raises(InvalidRequest, match="is damaged"):
+        sharing.import_shared(None, None, None, page)  # type: ignore[arg-type]
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 4 * len(page)
 
 
 @pytest.mark.parametrize(("status", "said"), [(422, "is damaged"), (409, "submitted meanwhile")])
