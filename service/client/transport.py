@@ -16,6 +16,7 @@ import httpx2
 
 from service.client.display import PartsCallback, display_elapsed, display_parts
 from service.client.errors import (
+    BadRequest,
     Busy,
     InvalidSpecification,
     NotComputedYet,
@@ -244,13 +245,17 @@ class Transport:
     def _built(
         self, method: str, path: str, query: Query | None, headers: Mapping[str, str] | None, **options: Any
     ) -> httpx2.Request:
-        return self._http.build_request(
-            method,
-            self.url + path,
-            params={name: _text(value) for name, value in (query or {}).items() if value is not None},
-            headers={**self._headers, **(headers or {})},
-            **options,
-        )
+        try:
+            return self._http.build_request(
+                method,
+                self.url + path,
+                params={name: _text(value) for name, value in (query or {}).items() if value is not None},
+                headers={**self._headers, **(headers or {})},
+                **options,
+            )
+        except (httpx2.InvalidURL, UnicodeError) as error:
+            detail = f"no address can hold what is asked for: {error}"
+            raise BadRequest(Problem(status=400, title="Bad Request", detail=detail)) from None
 
     def _failure(self, error: httpx2.RequestError, seconds: float) -> BounceError:
         """The error of a request without an answer within `seconds`, in one sentence."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 from collections.abc import Iterable, Iterator
 from datetime import timedelta
 from http import HTTPStatus
@@ -9,7 +10,7 @@ from itertools import islice
 from math import prod
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import unquote
+from urllib.parse import unquote_to_bytes
 
 import numpy as np
 import xarray
@@ -72,7 +73,7 @@ def store_url(transport: Transport, path: str, job_id: str) -> str:
     address = response.headers.get("Bounce-Store")
     if not address:
         raise UnexpectedAnswer(f"{transport.url} does not give the address of its stores")
-    return unquote(address)
+    return os.fsdecode(unquote_to_bytes(address))
 
 
 class HTTPStore(WrapperStore[Store]):

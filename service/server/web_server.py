@@ -138,7 +138,9 @@ class Limited(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """Called by uvicorn, with its own text, for bytes that are not a request."""
-        self.transport.write(_answer(HTTPStatus.BAD_REQUEST, "the request is not HTTP/1.1"))
+        self.transport.write(
+            _answer(HTTPStatus.BAD_REQUEST, "the request is not HTTP/1.1, or its head is too long")
+        )
         self.transport.close()
 
     @property

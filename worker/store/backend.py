@@ -252,6 +252,8 @@ def remove(url: str) -> None:
             bucket.delete([entry["path"] for entry in entries])
         return
     renamed = Path(f"{url}{DELETED}")
+    for link in filter(Path.is_symlink, (renamed, Path(url))):
+        link.unlink()  # what it leads to is another's
     if renamed.exists():  # of an interrupted removal
         shutil.rmtree(renamed)
     with suppress(FileNotFoundError):

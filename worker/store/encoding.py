@@ -31,6 +31,8 @@ _CRC: Final = 4
 #: Head of a seal: the magic number of a skippable frame, and the number of bytes that follow.
 _SEALED_BYTES: Final = 16
 _SEAL_HEAD: Final = struct.pack("<II", 0x184D2A5B, _SEALED_BYTES)
+#: Head of a zstd frame, its magic number.
+_FRAME_HEAD: Final = struct.pack("<I", 0xFD2FB528)
 #: Bytes at the end of a zstd frame, the checksum of its content.
 _CHECKSUM_BYTES: Final = 4
 _SEAL_BYTES: Final = len(_SEAL_HEAD) + _SEALED_BYTES
@@ -94,9 +96,20 @@ def encode(form: ArrayForm, values: NDArray[Any], coords: Sequence[int]) -> byte
 def decode(form: ArrayForm, content: bytes, index: tuple[int, ...]) -> NDArray[Any]:
     """The values of the inner chunk at a position. Raises RuntimeError or ValueError for damaged bytes."""
     check_seal(form, content, index)
-    values = np.empty(form.inner, form.dtype)  # a damaged header may declare a far larger size
+    values = np.empty(form.inner, form.dtype)
+    if _declared(content) != values.nbytes:  # less would leave in it what the memory held
+        raise ValueError("its bytes do not fill the chunk")
     decompress(content, values)
     return values
+
+
+def _declared(frame: bytes) -> int:
+    """Bytes of a zstd frame's content, by its head (RFC 8878, 3.1.1.1); 0 if it does not say."""
+    if not frame.startswith(_FRAME_HEAD):
+        return 0
+    size, single, key = frame[4] >> 6, frame[4] >> 5 & 1, frame[4] & 3
+    start, width = 6 - single + (0, 1, 2, 4)[key], (single, 2, 4, 8)[size]
+    return int.from_bytes(frame[start : start + width], "little") + (256 if width == 2 else 0)
 
 
 def position(form: ArrayForm, coords: Sequence[int], inner: Sequence[int]) -> tuple[int, ...]:

@@ -1,5 +1,7 @@
 """Endpoints for operators: liveness, readiness, metrics, versions."""
 
+import os
+
 from fastapi import APIRouter, HTTPException, Response
 
 from service.api.dependencies import ServiceDep
@@ -28,7 +30,8 @@ def get_readiness(service: ServiceDep) -> ReadinessView:
 @router.get("/v1/software", summary="Versions of what the service runs on")
 def get_versions(service: ServiceDep) -> SoftwareView:
     """Release, kernel version, Python and libraries, which workers have too; the data folder."""
-    return SoftwareView(**software()._asdict(), data=str(service.settings.data.absolute()))
+    data = os.fsencode(service.settings.data.absolute()).decode(errors="replace")
+    return SoftwareView(**software()._asdict(), data=data)
 
 
 @router.get(

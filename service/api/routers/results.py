@@ -1,5 +1,6 @@
 """Endpoints that read a job's results, also while the job is running."""
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -133,7 +134,8 @@ def get_zarr_file(
         raise
     headers = {"Cache-Control": "no-cache", "Accept-Ranges": "bytes"}
     if key == ROOT:
-        headers["Bounce-Store"] = quote(prepared.store_url, safe="/:@+,;=~()[] ")
+        store_url = os.fsencode(prepared.store_url)  # the name of a folder need not be UTF-8
+        headers["Bounce-Store"] = quote(store_url, safe="/:@+,;=~()[] ")
     media_type = "application/json" if key.endswith(".json") else "application/octet-stream"
     span = None if if_range is not None else _span(byte_range or "", len(content))
     if span is None:

@@ -6,13 +6,14 @@ specification, the division into chunks, and the chunks, each with its seal.
 
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import Outcome
+from kernel.params import KernelInputError, Outcome, checked_states
 from service.errors import NotAdoptable
 from service.jobs.prepare import new_job
 from service.jobs.stores.opening import find_unknown, id_of
@@ -29,6 +30,9 @@ from worker.sweep.specification import SweepSpec, is_open
 
 #: Larger than any number of a cell: counts of flights and periods, and times in rad.
 LARGEST: Final = 1e9
+
+#: Outcomes of cells whose state is none that a motion continues from.
+_WITHOUT_STATE: Final = (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 
 def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
@@ -103,13 +107,20 @@ def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
             continue
         report = report_of(chunk, record, (0.0, 0.0))
         complete = len(report.outcomes) == len(Outcome) and not report.outcomes[Outcome.MISSING]
-        if complete and all(_possible(array, record[array.name]) for array in layout.arrays):
+        if complete and all(_possible(array, record) for array in layout.arrays):
             reports.append(report)
     return reports
 
 
-def _possible(array: Array, values: NDArray[Any]) -> bool:
+def _possible(array: Array, record: Mapping[str, NDArray[Any]]) -> bool:
     """Whether values are within the range of an array: a store may be written by others, with valid seals."""
+    values = record[array.name]
+    if "state" in array.dims:  # of cells, or of their attractors
+        stopped = np.isin(record.get("attractor_outcome", record["outcome"]), _WITHOUT_STATE)
+        try:
+            checked_states(values[~stopped], int(np.sum(~stopped)), carry=False)
+        except KernelInputError:
+            return False
     if (flags := array.attrs.get("flag_values")) is not None:
         return bool(np.isin(values, flags).all())
     if values.dtype.kind == "f":

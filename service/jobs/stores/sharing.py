@@ -34,9 +34,13 @@ from worker.sweep.specification import is_open
 #: Limits on the bytes of a store in a file, and of a chunk before compression, which is twice that of plans.
 MOST_STORED: Final = 6_000_000
 MOST_OF_A_CHUNK: Final = 2 * MAX_SHARD_BYTES
+#: Limits on what is parsed, which needs thirty times its bytes: files of a store, each with a seal, and bytes
+#: of its root, which has at most 100,000 numbers of 24 bytes.
+MOST_FILES: Final = 250_000
+MOST_PARSED: Final = 3_000_000
 
 _OPENS: Final = '<script type="application/json" id="store" data-sha256="'
-_BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">([^<]*)</script>'.encode())
+_BLOCK: Final = re.compile(f'{_OPENS}([0-9a-f]{{64}})">({{[^<{{[]*)</script>'.encode())  # one object
 _SHOWS: Final = re.compile(rb'<script type="application/json" id="(shared|store)"')
 
 _NAME, _RUNS = "name", "runs"  # of the job, beside the store's files
@@ -76,11 +80,14 @@ def import_shared(
     """
     files = _unpacked(content)
     try:
-        attrs = structured_attributes(json.loads(files[store.ROOT])["attributes"])
-        version, spec = str(attrs["kernel_version"]), from_stored(json.dumps(attrs["spec"]))
+        if max(len(files[store.ROOT]), len(files.get(_RUNS, b""))) > MOST_PARSED:
+            raise ValueError("more than a shared file holds")
+        attrs = json.loads(files[store.ROOT])["attributes"]
+        version, spec = str(attrs["kernel_version"]), from_stored(attrs["spec"])
+        attrs = structured_attributes(attrs)
         given = TypeAdapter(Label).validate_python(files.pop(_NAME, spec.name.encode()).decode())
         runs = checked_runs(files.pop(_RUNS, b"[]"))
-    except (LookupError, TypeError, ValueError, RecursionError) as error:
+    except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise InvalidRequest.of("file", _DAMAGED) from error
     if version != KERNEL_VERSION:
         rule = f"was computed by kernel version {version}; this release computes version {KERNEL_VERSION}"
@@ -116,9 +123,10 @@ def import_shared(
         with ledger.writing() as writing:
             writing.delete(job)
         raise InvalidRequest.of("file", _DAMAGED)
-    for other in find_unknown(ledger, settings):  # left by an interrupted import
-        if id_of(other) == job_id:
-            store.remove(settings.store_of(other))
+    for other in find_unknown(ledger, settings):
+        url = settings.store_of(other)
+        if id_of(other) == job_id and store.ROOT not in store.names_in(url):  # of an interrupted import
+            store.remove(url)
     with ledger.writing() as writing:
         writing.update(job, name=given, runs=runs)
     return replace(job, name=given, runs=runs), True
@@ -131,7 +139,7 @@ def _unpacked(content: bytes) -> dict[str, bytes]:
         shown = _SHOWS.search(content)
         rule = _NOT_SHARED if shown is None else _DAMAGED if shown[1] == b"store" else _IN_PART
         raise InvalidRequest.of("file", rule)
-    if sha256(block[2]).hexdigest() != block[1].decode():
+    if block[2].count(b":") > MOST_FILES or sha256(block[2]).hexdigest() != block[1].decode():
         raise InvalidRequest.of("file", _DAMAGED)
     try:
         return {str(key): b64decode(text, validate=True) for key, text in json.loads(block[2]).items()}

@@ -1,13 +1,15 @@
 """The HTTP API, from the submission of a sweep to every format of its diagram."""
 
+import os
 import re
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, finished, get, read, service
+from served import FIGURE_2, computing, finished, get, read, service
 from tables import for_each
 
 
@@ -41,6 +43,14 @@ def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
         answer = client.get(figure_2, headers={"If-None-Match": candidates})
         assert (answer.status_code, answer.content, answer.headers["ETag"]) == (304, b"", tag)
     assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
+
+
+def test_the_name_of_the_data_folder_need_not_be_utf_8(tmp_path: Path):
+    name = os.fsdecode(b"\xff")
+    with computing(tmp_path / name) as client:
+        where = f"{finished(client, sweep().as_submitted())}/zarr/zarr.json"
+        assert f"{quote(os.fsencode(tmp_path))}/%FF/" in client.get(where).headers["Bounce-Store"]
+        assert get(client, "/v1/software")["data"] == f"{tmp_path}/\ufffd"
 
 
 # Diagrams

@@ -21,6 +21,7 @@ from scripted import DEADLINE, wait_for
 from tables import for_each
 
 from service.client import (
+    BadRequest,
     BounceError,
     Busy,
     Client,
@@ -134,6 +135,12 @@ def test_what_a_header_cannot_carry_is_refused_and_not_repeated(word: str):
 
 
 # Answers
+
+
+@for_each("search", ["\udcff", "x" * 70_000])
+def test_a_search_that_no_address_can_hold_is_refused(search: str):
+    with scripted() as (_, client), pytest.raises(BadRequest, match="no address can hold what is asked for"):
+        list(client.jobs(search=search))
 
 
 @for_each(

@@ -92,6 +92,14 @@ def test_a_folder_is_removed_with_what_an_interrupted_removal_left(url: str, tmp
     backend.remove(url)  # it is gone
 
 
+def test_what_a_link_leads_to_stays(url: str, tmp_path: Path):
+    before, link = below(url), tmp_path / "other"
+    for name in ("other", f"other{backend.DELETED}"):  # the second one of an interrupted removal
+        (tmp_path / name).symlink_to(url)
+    backend.remove(str(link))
+    assert (below(url), backend.names_in(str(tmp_path))) == (before, ["store"])
+
+
 @pytest.mark.parametrize("at", [0, 31, 32, -1])
 def test_a_checkpoint_that_was_changed_is_none(url: str, at: int):
     store.write_checkpoint(url, 7, {"lines": np.arange(3)})

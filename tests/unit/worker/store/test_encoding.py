@@ -4,9 +4,11 @@ from itertools import product
 
 import numpy as np
 import pytest
+from numcodecs.zstd import compress
 from tables import for_each
 
-from worker.store.encoding import ArrayForm, decode, encode, spans_of
+from worker.store import encoding
+from worker.store.encoding import LEVEL, ArrayForm, decode, encode, spans_of
 
 
 def form(chunks: tuple[int, ...] = (4, 4), inner: tuple[int, ...] = (2, 4), fill: float = 7) -> ArrayForm:
@@ -49,3 +51,20 @@ def test_a_damaged_index_is_no_index():
     shorter = form(chunks=(2, 4), inner=(1, 4))._replace(chunks=(6, 4), inner=(2, 4))
     with pytest.raises(ValueError, match="the shard is cut off"):
         spans_of(shorter, index, [(0, 0)])
+
+
+@for_each("size", [1, 255, 256, 300, 70_000])
+def test_a_sealed_chunk_is_filled_by_its_frame(size: int):
+    """What a shorter one leaves is the memory of others."""
+    whole, values = (
+        ArrayForm(np.dtype("<u1"), 0, ("x",), (size,), (size,), (size,), "a job"),
+        np.arange(size + 1),
+    )
+    for n in (size - 1, size, size + 1):
+        frame = compress(values[:n].astype("<u1"), level=LEVEL, checksum=True)
+        content = frame + encoding._seal(whole, frame, (0,))
+        if n == size:
+            assert decode(whole, content, (0,)).tolist() == (values[:n] % 256).tolist()
+            continue
+        with pytest.raises(ValueError, match="do not fill the chunk"):
+            decode(whole, content, (0,))

@@ -5,12 +5,15 @@ import html
 import io
 import json
 import re
+import shutil
+import tracemalloc
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from pyarrow import parquet
@@ -20,6 +23,7 @@ from stores import files, store_in
 from tables import for_each
 
 from kernel.params import KERNEL_VERSION
+from service.errors import InvalidRequest
 from service.jobs.stores import sharing
 from worker import store
 from worker.studies import from_json, study_of
@@ -28,6 +32,13 @@ HTML = {"Content-Type": "application/octet-stream"}
 
 #: Software of a time that no file could tell.
 NEVER = b'[{"release": "1", "python": "3", "libraries": {}, "processor": "", "began": 1e300}]'
+
+#: Texts that hold more objects than any shared file, in as many bytes.
+CROWDED = (
+    '{"a": [' + "{}, " * 1_000_000 + "{}]}",
+    "{" + ", ".join(f'"{i}": ""' for i in range(300_000)) + "}",
+    json.dumps({"zarr.json": b64encode(b'{"attributes": [' + b"{}, " * 1_000_000 + b"{}]}").decode()}),
+)
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +90,20 @@ def test_it_is_the_same_job_with_the_same_bytes(
     assert client.delete(here).status_code == 204
 
 
+def test_a_whole_store_that_the_ledger_does_not_know_stays(
+    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path]
+):
+    (page, stored), (client, folder) = shared, elsewhere
+    root = folder / "stores" / f"1000-{from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION)}.zarr" / "zarr.json"
+    root.parent.mkdir(parents=True)
+    root.write_bytes(stored["zarr.json"])
+    answer = client.post("/v1/imports", content=page, headers=HTML)
+    assert answer.status_code == 201
+    assert root.read_bytes() == stored["zarr.json"]
+    shutil.rmtree(root.parent)
+    assert client.delete(answer.headers["Location"]).status_code == 204
+
+
 def _resealed(change: Callable[[dict[str, bytes]], None]) -> Callable[[bytes], bytes]:
     """A page with other files and their right checksum."""
 
@@ -107,18 +132,22 @@ def _swapped(contents: dict[str, bytes]) -> None:
     contents[one], contents[other] = contents[other], contents[one]
 
 
-def _impossible(contents: dict[str, bytes]) -> None:
+def _impossible(array: str, value: float) -> Callable[[bytes], bytes]:
     """A chunk of numbers that no cell has, with its seal."""
-    spec = from_json(json.dumps(RAMP))
-    plan = study_of(spec).plan(spec)
-    layout = study_of(spec).variables(spec, plan.chunk_shape)
-    with TemporaryDirectory() as folder:
-        url = f"{folder}/a.zarr"
-        store.restore(url, {key: contents[key] for key in store.keys_of(layout, plan)}, layout)
-        record = store.read_chunk(url, plan[0], layout.names)
-        record["flights"][...] = 2**31 - 1
-        store.write_chunk(url, plan[0], record)
-        contents |= files(Path(url))
+
+    def change(contents: dict[str, bytes]) -> None:
+        spec = from_json(json.dumps(RAMP))
+        plan = study_of(spec).plan(spec)
+        layout = study_of(spec).variables(spec, plan.chunk_shape)
+        with TemporaryDirectory() as folder:
+            url = f"{folder}/a.zarr"
+            store.restore(url, {key: contents[key] for key in store.keys_of(layout, plan)}, layout)
+            record = store.read_chunk(url, plan[0], layout.names)
+            record[array][...] = value
+            store.write_chunk(url, plan[0], record)
+            contents |= files(Path(url))
+
+    return _resealed(change)
 
 
 @for_each(
@@ -129,11 +158,15 @@ def _impossible(contents: dict[str, bytes]) -> None:
         (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
         (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
         (_resealed(_swapped), 422, "is damaged"),
-        (_resealed(_impossible), 422, "is damaged"),
+        (_impossible("flights", 2**31 - 1), 422, "is damaged"),
+        (_impossible("end_state", np.nan), 422, "is damaged"),
+        (_impossible("end_state", 7.0), 422, "is damaged"),  # a phase beyond 2 pi
         (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
         (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
         (_resealed(lambda contents: contents.update(runs=NEVER)), 422, "is damaged"),
         (_root(KERNEL_VERSION, "0"), 422, "computed by kernel version 0"),
+        (_root('"attributes": {', '"attributes": [], "": {'), 422, "is damaged"),
+        (_root('"spec": ', '"spec": [], "": '), 422, "is damaged"),
         (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
         (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
     ],
@@ -147,6 +180,18 @@ def test_what_is_none_is_refused_in_one_sentence(
     assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
     assert get(client, "/v1/jobs")["jobs"] == []
     wait_for(lambda: not list((folder / "stores").glob("*.zarr*")))
+
+
+@for_each("text", CROWDED)
+def test_what_holds_more_than_any_is_refused_unparsed(text: str):
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    page = f'{sharing._OPENS}{digest}">{text}</script>'.encode()
+    tracemalloc.start()
+    with pytest.raises(InvalidRequest, match="is damaged"):
+        sharing.import_shared(None, None, None, page)  # type: ignore[arg-type]
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 4 * len(page)
 
 
 @pytest.mark.parametrize(("status", "said"), [(422, "is damaged"), (409, "submitted meanwhile")])
