@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[3] / "support"), str(Path(__file__).parents[4])]
@@ -26,7 +27,16 @@ from tables import for_each
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.figures import tradeoff
-from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
+from service.pictures import (
+    CLASSES,
+    DPI,
+    STYLE,
+    draw_branches,
+    draw_diagram,
+    draw_modes,
+    draw_thresholds,
+    legend_beside,
+)
 from service.views import diagram, modes, multistability, threshold
 from service.views.encode import picture
 from service.views.selection import LABEL, Stored
@@ -209,6 +219,20 @@ def test_a_map_of_one_row_shows_its_cells():
         True,
     )
     assert axes.collections[0].get_datalim(axes.transData).height > 0.0
+
+
+def test_an_axis_of_one_value_has_one_tick():
+    figure = Figure()
+    multistability.draw(plane().isel(omega=[0]), figure)
+    assert [axes.get_yticks().tolist() for axes in figure.axes] == [[0.5], [0.5]]
+
+
+def test_a_legend_of_many_classes_stays_within_the_picture():
+    figure = Figure(figsize=modes.VIEW.size, layout="constrained")
+    axes = figure.subplots()
+    legend_beside(axes, [Patch(label=name) for name in CLASSES])
+    figure.draw_without_rendering()
+    assert axes.get_legend().get_window_extent().y0 > 0.0
 
 
 def wide_map(low: float, high: float) -> xarray.Dataset:
