@@ -308,7 +308,7 @@ def test_a_grid_of_springs_is_searched(python_client: Client):
 
 
 def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(python_client: Client):
-    few, many = Figure(), Figure()
+    one, few, many = Figure(), Figure(), Figure()
     lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
     spring_threshold.draw_grid(lines, few)
     assert lines.down.values[0] == pytest.approx([FOLD_060, 0.507033469], abs=1e-9)
@@ -316,6 +316,8 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
     assert "rotation" not in lines
     drawn = [line.get_ydata() for line in few.axes[0].lines if line.get_label().startswith("$")]
     np.testing.assert_array_equal(drawn, lines.down)
+    spring_threshold.draw_grid(lines.isel(omega=[0]), one)
+    assert one.axes[0].lines[3].get_marker() == "_"  # Eq. 25, which as a line would not be seen
     plane = python_client.thresholds("0.6,0.62", "0.1:0.2:6", progress=False)
     spring_threshold.draw_grid(plane, many)
     np.testing.assert_array_equal(many.axes[0].collections[0].get_array(), plane.down)
