@@ -212,7 +212,7 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
         notes += [f"{_place(texts.index.names, index)}: {text}" for index, text in texts.items() if text]
     words = frame.select_dtypes(exclude="number")
     constant = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
-    places = {name: _told_apart(frame.index.unique(name)) for name in frame.index.names}
+    places = {str(name): _told_apart(frame.index.unique(name)) for name in frame.index.names}
     for narrower, digits in ((False, DIGITS), *((True, digits) for digits in range(DIGITS, 5, -1))):
         shown = frame.drop(columns=constant if narrower else []).reset_index()
         as_text = f"{{:.{digits}g}}".format
