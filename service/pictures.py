@@ -105,6 +105,8 @@ PERIOD: Final = 2 * np.pi  # of the plate, rad
 OVERLAID: Final = (1.7, 0.8)
 #: Size of the marker of the larger points in a legend.
 LEGEND_DOT: Final = 8.0
+#: Height of a legend beside axes, in heights of the axes: it may reach below their labels.
+LEGEND_HEIGHT: Final = 1.2
 #: More points than this become an image inside an SVG.
 MANY_POINTS: Final = 5_000
 #: More flights of a direction than this are drawn as density, in bins of a dot. Pixels of the axes.
@@ -226,7 +228,7 @@ def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
 
 
 def _make_logarithmic(axes: "Axes", name: str) -> None:
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 
     low, high = getattr(axes, f"get_{name}lim")()
     low = low if low > 0.0 else high / LOG_RANGE
@@ -235,7 +237,7 @@ def _make_logarithmic(axes: "Axes", name: str) -> None:
     axis, ratio = getattr(axes, f"{name}axis"), high / low
     digits = LogLocator(subs=ROUND) if ratio <= ROUND_RANGE else LogLocator()
     axis.set_major_locator(digits if ratio > LINEAR_RANGE else MaxNLocator(8, steps=[*ROUND, 10.0]))
-    axis.set_major_formatter("{x:g}")
+    axis.set_major_formatter("{x:g}" if ratio > LINEAR_RANGE else ScalarFormatter())
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -457,8 +459,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=0.4, hatch=HATCH, label=DIFFER))
     legend_beside(ax, handles)
     ax.set(xlabel=AXES["gamma"], ylabel=AXES["omega"])
-    if modes.sizes["omega"] == 1:
-        ax.set_yticks(modes.omega.values)
+    mark_single(ax, modes.gamma.values, modes.omega.values)
     way = str(modes.direction.values) if "direction" in modes else "rest"
     ramped = "" if way == "rest" else f", {_WAYS[way]}"
     ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
@@ -484,10 +485,20 @@ def draw_cells(
     ax.pcolormesh(x, y, codes, rasterized=True, cmap=shades, vmin=-0.5, vmax=shades.N - 0.5, **options)
 
 
+def mark_single(ax: "Axes", x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """Put the only tick of an axis of one value there: the width of its cell says nothing."""
+    for axis, values in ((ax.xaxis, x), (ax.yaxis, y)):
+        if len(values) == 1:
+            axis.set_ticks(values)
+
+
 def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, **options: Any) -> None:
-    """A legend to the right of the axes; left: its place, in widths of the axes."""
-    place: Any = {"loc": "upper left", "bbox_to_anchor": (left, 1.0), "borderaxespad": 0.0}
-    ax.legend(handles=entries, frameon=False, **place, **options)
+    """A legend to the right of the axes, in as many columns as it takes; left: its place, in their widths."""
+    place: Any = {"loc": "upper left", "bbox_to_anchor": (left, 1.0), "borderaxespad": 0.0, "frameon": False}
+    column = ax.legend(handles=entries, **place, **options).get_window_extent().height
+    columns = math.ceil(column / (LEGEND_HEIGHT * ax.get_window_extent().height))
+    if columns > 1:
+        ax.legend(handles=entries, ncols=columns, **place, **options)
 
 
 def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:

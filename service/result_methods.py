@@ -378,6 +378,10 @@ class SpringMethods(Methods):
         modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
         gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
         points: Annotated[int, "of each branch, about; of a `model`, at most, each way"] = 400,
+        start: Annotated[float | None, "Γ from which branches have `points` more"] = None,
+        stop: Annotated[float | None, "Γ up to which they have"] = None,
+        flight_start: Annotated[float | None, "rad, the same of flights"] = None,
+        flight_stop: float | None = None,
         energy: Annotated[bool, "the energy balance of every point as well"] = False,
         prove: Annotated[bool, "whether all folds and flips are counted, with a proof"] = False,
         along: Annotated[Literal["gamma", "omega", "xi"], "what varies; of a model, omega or xi too, from half to twice its value"] = "gamma",
@@ -393,7 +397,9 @@ class SpringMethods(Methods):
         """Branches of cycles of one bounce, and their events.
 
         Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-        `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether none is missing.
+        `gamma_max` and comes back is several pieces. In a window, between `start` and `stop` and from
+        `flight_start` to `flight_stop`, they are as smooth as all of them without. With `prove`, `event_complete`
+        says whether none is missing.
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
@@ -412,7 +418,7 @@ class SpringMethods(Methods):
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, energy=energy, prove=prove, along=along, gamma=gamma, doubled=doubled, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, energy=energy, prove=prove, along=along, gamma=gamma, doubled=doubled, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 
     def curves(
         self,

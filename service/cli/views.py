@@ -212,13 +212,23 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
         notes += [f"{_place(texts.index.names, index)}: {text}" for index, text in texts.items() if text]
     words = frame.select_dtypes(exclude="number")
     constant = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
+    places = {str(name): _told_apart(frame.index.unique(name)) for name in frame.index.names}
     for narrower, digits in ((False, DIGITS), *((True, digits) for digits in range(DIGITS, 5, -1))):
         shown = frame.drop(columns=constant if narrower else []).reset_index()
-        lines = shown.to_string(index=False, na_rep="-", float_format=f"{{:.{digits}g}}".format).splitlines()
+        as_text = f"{{:.{digits}g}}".format
+        told = {name: f"{{:.{max(digits, least)}g}}".format for name, least in places.items() if least}
+        lines = shown.to_string(index=False, na_rep="-", float_format=as_text, formatters=told).splitlines()
         if max(map(len, lines)) <= WIDTH:
             break
     notes = [*(f"{name}  {words[name].iloc[0]}" for name in constant if narrower), *notes]
     return "\n".join([*lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in notes)])
+
+
+def _told_apart(values: Any) -> int:
+    """The fewest digits that tell numbers from each other; 0 for others."""
+    if values.dtype.kind != "f":
+        return 0
+    return next(digits for digits in range(1, 18) if len({f"{x:.{digits}g}" for x in values}) == len(values))
 
 
 def _place(names: Sequence[Any], index: Any) -> str:

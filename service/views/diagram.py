@@ -74,9 +74,12 @@ def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
         raise InvalidRequest.of("branches", "are along gamma, of rigid, soft and stepped contacts")
     fixed = {axis: point.value for axis, point in selection.fixed_axes(spec, query).items()}
     own = model.model_dump(include={"restitution", "penetration", "adhesive"}) | {"model": model.kind}
-    top = min(_BEYOND * float(spec.axis_values("gamma")[-1]), MAX_GAMMA)
-    followed = own if model.has_own_cycles else {}
-    return orbits.OrbitsQuery(**fixed, **followed, modes=_CYCLES, gamma_max=top)
+    gamma = spec.axis_values("gamma")
+    shown = gamma[_window(spec, query)].tolist()
+    window = query.model_dump(include=set(orbits.WINDOW)) | {"start": shown[0], "stop": shown[-1]}
+    own_or_window = own if model.has_own_cycles else window
+    top = min(_BEYOND * float(gamma[-1]), MAX_GAMMA)
+    return orbits.OrbitsQuery(**fixed, **own_or_window, modes=_CYCLES, gamma_max=top)
 
 
 def parts(study: selection.Stored[SweepSpec], query: DiagramQuery) -> Sequence[Call]:

@@ -288,6 +288,8 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     _name_attractors(right, result.isel(attractor=np.isin(result.attractor, first)))
     several = result.attrs["several"]
     share = "" if np.isnan(several) else f": several in {100.0 * several:.1f} %"
+    for axes in (left, right):
+        pictures.mark_single(axes, result.gamma.values, result.omega.values)
     left.set(xlabel=pictures.SYMBOLS["gamma"], ylabel=pictures.SYMBOLS["omega"])
     right.set_xlabel(pictures.SYMBOLS["gamma"])
     left.set_title(f"attractors of a cell{share}", fontsize=11)

@@ -24,8 +24,8 @@ from worker.sweep.levels import Steps, level_indices
 from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.task import run_cells
 
-#: Points at which all settings are compared, more points for the settings left, and fresh points for
-#: CANDIDATES of them.
+#: Points at which all settings are compared, more points for the settings left, and fresh points for the
+#: candidates; the most candidates that keep to a tolerance.
 FIRST, MORE, FRESH, CANDIDATES = 40, 60, 100, 4
 
 #: Core-seconds for which a line of cells is repeated; a single run is too short for the clock.
@@ -88,22 +88,20 @@ def candidates(
 ) -> list[int]:
     """The indices of the cheapest settings within budget and tolerance, the cheapest first.
 
-    If there is no tolerance, or no setting keeps it: the setting that shows least wrong within the budget. If
-    no setting keeps the budget: the cheapest.
+    If there is no tolerance, or no setting keeps it: all within the budget that are not surely worse than
+    another of them, so that the best is found by numbers of one sample. If no setting keeps the budget: the
+    cheapest.
     """
-    numbers = range(len(settings))
-    fitting = [i for i in numbers if budget is None or settings[i].seconds <= budget]
+    by_cost = sorted(range(len(settings)), key=lambda i: settings[i].seconds)
+    fitting = [i for i in by_cost if budget is None or settings[i].seconds <= budget]
     held = [i for i in fitting if tolerance is not None and shares[i].high <= tolerance]
-    if held:
-        return sorted(held, key=lambda i: settings[i].seconds)[:CANDIDATES]
-    if not fitting:
-        return [min(numbers, key=lambda i: settings[i].seconds)]
-    return [min(fitting, key=lambda i: (shares[i].share, settings[i].seconds))]
+    best = min((shares[i].high for i in fitting), default=0.0)
+    return held[:CANDIDATES] or [i for i in fitting if shares[i].low <= best] or by_cost[:1]
 
 
 def recommended(chosen: Sequence[int], shares: Sequence[Share], tolerance: float | None) -> int:
-    """The first candidate that keeps the tolerance at fresh points too, or the one that comes nearest."""
-    held = [i for i in chosen if tolerance is None or shares[i].high <= tolerance]
+    """The first candidate that keeps the tolerance at fresh points too, or the one that shows least wrong."""
+    held = [i for i in chosen if tolerance is not None and shares[i].high <= tolerance]
     return held[0] if held else min(chosen, key=lambda i: shares[i].high)
 
 

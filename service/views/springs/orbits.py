@@ -9,7 +9,7 @@ import xarray
 from pydantic import Field
 
 from kernel.cycles.energy import energy
-from kernel.cycles.events import Branch, Events, branch_and_events, join_events, rows_of
+from kernel.cycles.events import Branch, Events, Kind, branch, branch_and_events, join_events, rows_of
 from kernel.params import Cell
 from service.errors import InvalidRequest
 from service.pictures import IDEAL, draw_cycles
@@ -59,6 +59,10 @@ _COUNT_SECONDS: Final = 0.3
 #: Bytes of memory for a point of a branch, with those computed on the way to it.
 _PER_POINT: Final = 4_000
 
+#: Names of a window in a query. In this many rounds its steps are divided down to the rounding of numbers.
+WINDOW: Final = ("start", "stop", "flight_start", "flight_stop")
+_ROUNDS: Final = 10
+
 
 class OrbitsQuery(ContactQuery):
     """A spring, its contact, and which of its branches to compute."""
@@ -70,6 +74,10 @@ class OrbitsQuery(ContactQuery):
     points: int = Field(
         400, ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"
     )
+    start: Annotated[Number | None, Field(description="Γ from which branches have `points` more")] = None
+    stop: Annotated[Number | None, Field(description="Γ up to which they have")] = None
+    flight_start: Annotated[Number | None, Field(description="rad, the same of flights")] = None
+    flight_stop: Number | None = None
     energy: WithEnergy = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
     along: Literal["gamma", "omega", "xi"] = Field(
@@ -79,6 +87,10 @@ class OrbitsQuery(ContactQuery):
         None, description="where another varies"
     )
     doubled: WithDoubled = False
+
+    @property
+    def has_window(self) -> bool:
+        return any(getattr(self, name) is not None for name in WINDOW)
 
 
 def parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
@@ -113,7 +125,9 @@ def compute(
     """Branches of cycles of one bounce, and their events.
 
     Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-    `gamma_max` and comes back is several pieces. With `prove`, `event_complete` says whether none is missing.
+    `gamma_max` and comes back is several pieces. In a window, between `start` and `stop` and from
+    `flight_start` to `flight_stop`, they are as smooth as all of them without. With `prove`, `event_complete`
+    says whether none is missing.
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
@@ -127,8 +141,12 @@ def compute(
     branches: list[Any] = []
     events: list[Events] = []
     for part in parts:
-        branches += part.branches if isinstance(part, FollowedCycles) else part[:1]
-        events += part.events if isinstance(part, FollowedCycles) else part[1:]
+        if isinstance(part, FollowedCycles):
+            branches += part.branches
+            events += part.events
+        else:
+            branches.append(_finer(*part, query) if query.has_window else part[0])
+            events.append(part[1])
     top = max(query.gamma_max, query.gamma or 0.0)
     pieces = [piece for branch in branches for piece in below(branch, top)]
     data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)
@@ -155,16 +173,39 @@ def compute(
 _branch = lru_cache(64)(branch_and_events)
 
 
+def _finer(coarse: Branch, events: Events, query: OrbitsQuery) -> Branch:
+    """The branch with up to twice the query's `points` more, those in its window.
+
+    Steps that meet the window are divided until there are enough. Folds are points too: within a step Γ has
+    then no extremum, so that its ends tell whether it meets the window.
+    """
+    omega, xi, periods = query.omega, query.xi, coarse.periods
+    lowest, shortest = (-np.inf if x is None else x for x in (query.start, query.flight_start))
+    highest, longest = (np.inf if x is None else x for x in (query.stop, query.flight_stop))
+    times = np.union1d(coarse.flight_time, events.flight_time[events.kind == Kind.FOLD])
+    begin, end = times[:-1], times[1:]
+    for _ in range(_ROUNDS):
+        gammas = [branch(omega, xi, periods, t).gamma for t in (begin, end)]
+        meets = (np.minimum(*gammas) <= highest) & (np.maximum(*gammas) >= lowest)
+        meets &= (begin <= longest) & (end >= shortest)
+        begin, end = begin[meets], end[meets]
+        if not 0 < len(begin) <= query.points // 2:
+            break
+        divided = np.linspace(begin, end, query.points // len(begin) + 1)
+        begin, end = divided[:-1].ravel(), divided[1:].ravel()
+    return branch(omega, xi, periods, np.union1d(times, np.concatenate([begin, end])))
+
+
 def estimate(spec: None, query: OrbitsQuery) -> Estimate:
     """All points of the branches.
 
     Raises InvalidRequest for parameters that exclude each other, for a branch that is too long or does not
     exist, and above MAX_SECONDS.
     """
-    lengths = [grid_length(*grid) for grid in _grids(query)]
+    lengths = [grid_length(*grid) + 2 * query.points * query.has_window for grid in _grids(query)]
     plate = query.contact()
-    for name in ("energy", "prove") if plate is not None else ():
-        if getattr(query, name):
+    for name in ("energy", "prove", *WINDOW) if plate is not None else ():
+        if getattr(query, name) not in (None, False):
             raise InvalidRequest.of(name, "is of the closed form: leave out model")
     if query.doubled and plate is None:
         raise InvalidRequest.of("doubled", "needs a model; that of the closed form is rigid")

@@ -13,7 +13,7 @@ from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import EQ_25, Thresholds
 from kernel.search import starts_of
 from service.errors import InvalidRequest
-from service.pictures import ATTRACTORS, AXES, IDEAL, edges, legend_beside, values_at
+from service.pictures import ATTRACTORS, AXES, IDEAL, edges, legend_beside, mark_single, values_at
 from service.views import proofs
 from service.views.springs.queries import ContactQuery, name_of
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
@@ -258,9 +258,11 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
         ends = edges(omega), edges(result.xi.values)
         shown = axes.pcolormesh(*ends, result.down.values, rasterized=True)
         figure.colorbar(shown, label=r"lowest $\Gamma$ at which bouncing persists")
+        mark_single(axes, omega, result.xi.values)
         axes.set_ylabel(AXES["xi"])
         axes.set_title("white: not decided", fontsize=10)
         return
+    dash = "_--" if len(omega) == 1 else "--"  # one point has no line
     for i in range(result.sizes["xi"]):
         line, colour = result.isel(xi=i), ATTRACTORS[i]
         searched = line.status.values == "searched"
@@ -268,7 +270,7 @@ def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
         axes.plot(omega, down, "-", color=colour, linewidth=1.2, label=values_at(line, ["xi"]))
         axes.plot(omega[~searched], down[~searched], ".", color=colour)
         axes.plot(omega[searched], down[searched], "D", color=colour, fillstyle="none", markersize=5)
-        axes.plot(omega, line.threshold.values, "--", color=colour, linewidth=0.9)
+        axes.plot(omega, line.threshold.values, dash, color=colour, linewidth=0.9, markersize=12)
     axes.set_ylabel(r"lowest $\Gamma$ at which bouncing persists")
     legend_beside(axes, axes.get_legend_handles_labels()[0])
     searched_for = "; diamonds: searched for" if (result.status.values == "searched").any() else ""

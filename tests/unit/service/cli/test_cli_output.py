@@ -86,6 +86,13 @@ def test_a_table_fits_the_terminal():
     assert lines[3:] == ["status  found", "omega 0.5: no", f"omega 0.6: {'b' * 41}"]
 
 
+def test_a_table_tells_the_values_of_a_fine_axis_apart():
+    flights = (("gamma", "flight"), np.full((2, 30), 1.0))
+    result = xarray.Dataset({"flight_time": flights}, {"gamma": [2.3, 2.30000000005]})
+    rows = [line.split()[0] for line in table(result, ["flight_time"]).splitlines()[1:]]
+    assert set(rows) == {"2.3", "2.30000000005"}
+
+
 def test_a_table_of_flights_has_their_exponents_and_one_without_rows_says_none():
     cells = {
         "flight_time": (("omega", "flight"), [[1.0, np.nan]]),

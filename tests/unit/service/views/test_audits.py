@@ -197,6 +197,7 @@ def test_a_plan_tells_what_a_budget_buys(client: TestClient):
     found = from_json(waited(client, "POST", "/v1/plans?budget=60", json=spec).content)
     rows = {name: found[name].values.tolist() for name in found.data_vars}
     assert sum(rows["recommended"]) == 1
+    assert rows["share"][rows["recommended"].index(True)] == min(rows["share"])  # all fit into the budget
     assert all(
         low <= share <= high
         for low, share, high in zip(rows["low"], rows["share"], rows["high"], strict=True)
@@ -211,8 +212,9 @@ def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
     settings = [Setting(None, WHOLE, seconds, "draft") for seconds in (9.0, 5.0, 1.0)]
     shares = [Share(100, share, 0.0, share) for share in (0.01, 0.02, 0.3)]
     limits = [(6.0, 0.05), (6.0, None), (None, 0.5), (6.0, 0.001), (0.5, 0.05)]
-    assert [candidates(settings, shares, *each) for each in limits] == [[1], [1], [2, 1, 0], [1], [2]]
-    assert [recommended([2, 1, 0], shares, tolerance) for tolerance in (0.5, 0.05, 0.001)] == [2, 1, 0]
+    assert [candidates(settings, shares, *each) for each in limits] == [[1], [2, 1], [2, 1, 0], [2, 1], [2]]
+    tolerances = (0.5, 0.05, 0.001, None)
+    assert [recommended([2, 1, 0], shares, tolerance) for tolerance in tolerances] == [2, 1, 0, 0]
 
 
 def test_a_plan_that_would_take_hours_is_refused_before_it_begins(client: TestClient):

@@ -99,6 +99,13 @@ def test_axes_are_logarithmic_where_asked(log: str):
     axes.figure.canvas.draw()
 
 
+def test_ticks_of_a_narrow_logarithmic_axis_differ():
+    axes = drawn(cells(gamma=2.3 + 1e-9 * np.arange(4)).assign_attrs(log="x"))
+    axes.figure.canvas.draw()
+    labels = [label.get_text() for label in axes.get_xticklabels()]
+    assert len(set(labels)) == len(labels)
+
+
 def test_a_picture_says_what_is_missing():
     missing = both(cells(outcome=[3, 0, 0, 3], complete=False), cells())
     assert "incomplete: 2 of 8 cells are not computed yet" in texts(drawn(missing))

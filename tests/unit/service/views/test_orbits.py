@@ -68,6 +68,17 @@ def test_a_branch_along_another_parameter(python_client: Client, omega: float, a
     assert figure.axes[0].get_xlabel() == AXES[along]
 
 
+def test_branches_are_as_smooth_in_a_window(python_client: Client):
+    """Beside the fold, from which a chord between the points of the whole branch is far."""
+    window = {"start": 0.5532, "stop": 0.5533, "flight_start": 4.17, "flight_stop": 4.2}
+    found = python_client.orbits(0.6, 0.05, "1-1", progress=False, **window).isel(branch=0)
+    points = found.isel(point=np.flatnonzero((found.gamma < 0.5533) & (found.gamma > 0.5532)))
+    assert points.sizes["point"] > 200
+    assert points.gamma.values.min() == pytest.approx(FOLD_060, abs=1e-9)
+    stable = points.isel(point=np.flatnonzero(points.stable))
+    assert np.interp(0.5533, stable.gamma, stable.flight_time) == pytest.approx(4.1882262, abs=1e-4)
+
+
 def test_a_branch_with_rebound_ends_where_it_no_longer_sticks(python_client: Client):
     answer = python_client.orbits(
         **SPRING, modes="1-1", gamma_max=1.6, model="rigid", restitution=0.5, progress=False
@@ -212,9 +223,9 @@ def test_cells_beyond_as_many_branches_as_are_followed_are_named(
 
 
 @for_each(("model", "own", "plate"), [
-    ({"kind": "rigid"}, {}, ""),
+    ({"kind": "rigid"}, {"start": 1.5, "stop": 2.5}, ""),
     ({"kind": "rigid", "restitution": 0.3}, {"model": "rigid", "restitution": 0.3}, ""),
-    ({"kind": "stepped", "penetration": 1e-2}, {}, ", ideal plate"),
+    ({"kind": "stepped", "penetration": 1e-2}, {"start": 1.5, "stop": 2.5}, ", ideal plate"),
 ])  # fmt: skip
 def test_a_diagram_has_the_branches_of_its_contact_or_names_that_of_others(
     client: TestClient, python_client: Client, model: dict[str, Any], own: dict[str, Any], plate: str
@@ -308,7 +319,7 @@ def test_a_grid_of_springs_is_searched(python_client: Client):
 
 
 def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(python_client: Client):
-    few, many = Figure(), Figure()
+    one, few, many = Figure(), Figure(), Figure()
     lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
     spring_threshold.draw_grid(lines, few)
     assert lines.down.values[0] == pytest.approx([FOLD_060, 0.507033469], abs=1e-9)
@@ -316,6 +327,8 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
     assert "rotation" not in lines
     drawn = [line.get_ydata() for line in few.axes[0].lines if line.get_label().startswith("$")]
     np.testing.assert_array_equal(drawn, lines.down)
+    spring_threshold.draw_grid(lines.isel(omega=[0]), one)
+    assert one.axes[0].lines[3].get_marker() == "_"  # Eq. 25, which as a line would not be seen
     plane = python_client.thresholds("0.6,0.62", "0.1:0.2:6", progress=False)
     spring_threshold.draw_grid(plane, many)
     np.testing.assert_array_equal(many.axes[0].collections[0].get_array(), plane.down)

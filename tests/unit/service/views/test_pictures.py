@@ -5,6 +5,7 @@ What is drawn has to be what tests/golden/pictures.json says;
 """
 
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[3] / "support"), str(Path(__file__).parents[4])]
@@ -26,7 +28,16 @@ from tables import for_each
 from kernel.labels import LABELS
 from kernel.params import Outcome
 from service.figures import tradeoff
-from service.pictures import DPI, STYLE, draw_branches, draw_diagram, draw_modes, draw_thresholds
+from service.pictures import (
+    CLASSES,
+    DPI,
+    STYLE,
+    draw_branches,
+    draw_diagram,
+    draw_modes,
+    draw_thresholds,
+    legend_beside,
+)
 from service.views import diagram, modes, multistability, threshold
 from service.views.encode import picture
 from service.views.selection import LABEL, Stored
@@ -211,6 +222,20 @@ def test_a_map_of_one_row_shows_its_cells():
     assert axes.collections[0].get_datalim(axes.transData).height > 0.0
 
 
+def test_an_axis_of_one_value_has_one_tick():
+    figure = Figure()
+    multistability.draw(plane().isel(omega=[0]), figure)
+    assert [axes.get_yticks().tolist() for axes in figure.axes] == [[0.5], [0.5]]
+
+
+def test_a_legend_of_many_classes_stays_within_the_picture():
+    figure = Figure(figsize=modes.VIEW.size, layout="constrained")
+    axes = figure.subplots()
+    legend_beside(axes, [Patch(label=name) for name in CLASSES])
+    figure.draw_without_rendering()
+    assert axes.get_legend().get_window_extent().y0 > 0.0
+
+
 def wide_map(low: float, high: float) -> xarray.Dataset:
     """Cells at rest over this range of Γ and Ω, in equal ratios."""
     values = np.geomspace(low, high, 20)
@@ -255,5 +280,8 @@ def test_a_ball_has_no_threshold_of_a_spring(tmp_path: Path):
 
 
 def test_an_svg_names_fonts_for_viewers_without_the_first():
-    svg = picture((2.0, 2.0), lambda figure: figure.text(0.5, 0.5, "Γ"), "svg", {"release": ""}).decode()
-    assert "'STIXGeneral', 'STIX Two Text', 'Times New Roman', 'Liberation Serif', serif" in svg
+    lines = "Γ\n$x$ (a formula)"
+    svg = picture((2.0, 2.0), lambda figure: figure.text(0.5, 0.5, lines), "svg", {"release": ""}).decode()
+    named = set(re.findall('font-family: ([^;"]*)', svg))
+    others = "'STIX Two Text', 'Times New Roman', 'Liberation Serif', 'DejaVu Serif Condensed', serif"
+    assert named == {f"'STIXGeneral', {others}"}
