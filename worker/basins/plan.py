@@ -4,6 +4,7 @@ from typing import Final
 
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, basin_arrays, basin_sizes, sizes_of_attractors
 from worker.basins.specification import BasinSpec, MultistabilitySpec
+from worker.spec.errors import Problem, SpecTooLarge
 from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 from worker.study.layout import bytes_of
 from worker.sweep import SweepSpec
@@ -11,6 +12,9 @@ from worker.sweep.plan import cell_seconds, longest_seconds
 
 #: Starts of an attractor that run on.
 REPRESENTATIVES: Final = 32
+
+#: Most bytes of a line, which is computed as one: a slice of it lasts seven seconds (`worker.work`).
+MAX_LINE_BYTES: Final = 64 * 2**20
 
 #: Average runs of a cell of a multistability study: of each drop with its continuation, and of followed
 #: attractors.
@@ -58,12 +62,20 @@ def plan_lines(
 ) -> Plan:
     """Chunks of whole lines along gamma, of `chunk_shape` cells or of about a second.
 
-    Raises ValueError for sizes below 1, or for parts of lines.
+    Raises SpecTooLarge for lines above MAX_LINE_BYTES, ValueError for sizes below 1 or for parts of lines.
     """
     gammas = spec.shape[2]
     if chunk_shape is None:
-        lines = int(TARGET_SECONDS / (gammas * _runs(spec) * cell_seconds(spec.sweep())))
-        chunk_shape = (1, max(1, lines), gammas)
+        size = _bytes_of_a_cell(spec)
+        if gammas * size > MAX_LINE_BYTES:
+            rule = (
+                f"one line of {gammas:,} cells takes {gammas * size:,} bytes; at most {MAX_LINE_BYTES:,} are "
+            )
+            most = f"allowed: take at most {MAX_LINE_BYTES // size:,} values, or keep fewer flights"
+            raise SpecTooLarge([Problem("gamma", rule + most)])
+        seconds = _runs(spec) * cell_seconds(spec.sweep())
+        lines = min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size) / gammas
+        chunk_shape = (1, max(1, int(lines)), gammas)
     plan = Plan(spec.shape, chunk_shape)
     if plan.chunk_shape[-1] != gammas:
         raise ValueError(f"chunk_shape: must span the {gammas} values of gamma, not {chunk_shape[-1]}")
@@ -76,10 +88,14 @@ def estimate_lines(spec: MultistabilitySpec, plan: Plan) -> Cost:
     return Cost(
         cells=plan.cells,
         chunks=len(plan),
-        bytes=plan.cells * bytes_of(FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED)),
+        bytes=plan.cells * _bytes_of_a_cell(spec),
         core_seconds=runs * cell_seconds(sweep),
         longest_core_seconds=runs * longest_seconds(sweep, spec.until),
     )
+
+
+def _bytes_of_a_cell(spec: MultistabilitySpec) -> int:
+    return bytes_of(FOLLOWED_ARRAYS, sizes_of_attractors(spec, MAX_FOLLOWED))
 
 
 def _runs(spec: MultistabilitySpec) -> float:

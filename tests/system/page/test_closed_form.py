@@ -56,12 +56,13 @@ def readout_at(page: Any, at: list[float]) -> str:
     return str(page.locator(".panel .readout").inner_text())
 
 
-#: Pixels of a plot, 1,000 wide, of Γ from 0.5 to 0.5 + 1e-6 and φ from 4 to 4.001, and of a curve in it, through
-#: points of a parabola.
+#: A curve through points of a parabola, in pixels of a plot, 1,000 wide, of Γ from 0.5 to 0.5 + 1e-6 and φ from
+#: 4 to 4.001.
 CURVE = """import(new URL("static/js/plot/drawing.js", location)).then(({ curve }) => {
-    const axis = (low, high) => ({ pixel: (value) => (1000 * (value - low)) / (high - low) });
-    const box = { left: 0, top: 0, width: 1000, height: 1000, x: axis(0.5, 0.5 + 1e-6), y: axis(4, 4.001) };
-    const points = Array.from({ length: 60 }, (_, i) => 3.7 + 0.016 * i).map((y) => [0.5 + (y - 4.0004) ** 2, y]);
+    const axis = (low, width) => ({ pixel: (value) => (1000 * (value - low)) / width });
+    const box = { left: 0, top: 0, width: 1000, height: 1000, x: axis(0.5, 1e-6), y: axis(4, 0.001) };
+    const times = Array.from({ length: 60 }, (_, i) => 3.7 + 0.016 * i);
+    const points = times.map((y) => [0.5 + (y - 4.0004) ** 2, y]);
     return curve([...points, null, [9, 9]], box).filter(Boolean);
 })"""
 

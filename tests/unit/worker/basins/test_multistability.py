@@ -13,7 +13,7 @@ from studies import spec_of
 from kernel.cycles.events import Kind, fold_events
 from kernel.params import Outcome
 from worker.basins.specification import MultistabilitySpec
-from worker.spec.errors import SpecError
+from worker.spec.errors import SpecError, SpecTooLarge
 from worker.studies import STUDIES
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
@@ -129,3 +129,12 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
 def test_lines_along_gamma_are_not_cut():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
         STUDIES["multistability"].plan(multistability(), (1, 1, 2))
+
+
+def test_a_line_that_is_too_long_for_a_chunk_is_refused_with_the_number_that_is_not():
+    line = multistability(gamma={"start": 1, "stop": 2, "num": 100_000})
+    with pytest.raises(SpecTooLarge, match=r"takes 266,100,000 bytes.* take at most 25,219 values") as caught:
+        STUDIES["multistability"].plan(line)
+    assert caught.value.problems[0].field == "gamma"
+    plan = STUDIES["multistability"].plan(multistability(gamma={"start": 1, "stop": 2, "num": 25_219}))
+    assert plan.chunk_shape == (1, 1, 25_219)
