@@ -57,15 +57,12 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
 const COPIED_MS = 1500;
 
 /** A button that copies `what`, which `text()` returns, and says so. */
-export const copyButton = (what, text) => h("button", {
-  type: "button", className: "quiet", "aria-label": `Copy ${what}`,
-  onclick: async ({ currentTarget: button }) => {
-    const content = text(); // also without a clipboard: it may select the text
-    button.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";
-    announce(`${button.textContent}.`);
-    setTimeout(() => { button.textContent = "Copy"; }, COPIED_MS);
-  },
-}, "Copy");
+export const copyButton = (what, text) => button("Copy", async ({ currentTarget }) => {
+  const content = text(); // also without a clipboard: it may select the text
+  currentTarget.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";
+  announce(`${currentTarget.textContent}.`);
+  setTimeout(() => { currentTarget.textContent = "Copy"; }, COPIED_MS);
+}, { "aria-label": `Copy ${what}` });
 
 export function announce(text) {
   document.getElementById("status").textContent = text;
