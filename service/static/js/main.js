@@ -40,8 +40,7 @@ async function showAddress() {
   if (!Page || page || wanted !== shown) return; // the service does not answer; the page was built, or left, meanwhile
   page = new Page(root, currentAddress(), leaving.signal);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
-    if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
-    else anchor.removeAttribute("aria-current");
+    anchor.ariaCurrent = anchor.hash === `#/${address.path.join("/")}` ? "page" : null;
   }
   if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load().catch(() => null)), REST_MS); // while the service answers
   else {
