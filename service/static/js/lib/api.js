@@ -54,10 +54,9 @@ function sharedAnswer(path) {
 
 async function send(path, { method = "GET", body, signal }, timeout) {
   if (shared) return sharedAnswer(path);
-  const headers = {};
-  if (body !== undefined) headers["Content-Type"] = body instanceof Blob ? "application/octet-stream" : "application/json";
   const token = sessionStorage.getItem(TOKEN_KEY);
-  if (token) headers.Authorization = `Bearer ${token}`;
+  const type = body instanceof Blob ? "application/octet-stream" : "application/json";
+  const headers = { ...(body !== undefined && { "Content-Type": type }), ...(token && { Authorization: `Bearer ${token}` }) };
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
   const response = await answered(fetch(path, {
     method,
