@@ -79,19 +79,18 @@ export function debounced(milliseconds, work) {
 
 const ABORT_AFTER_MS = 150;
 
-/** `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
- * the run ends, and the run is aborted through its signal if it takes ABORT_AFTER_MS longer. */
+/** `work(signal)`, one run at a time. Calls made during a run become one, which starts when the run ends; the run is
+ * aborted through its signal if it takes ABORT_AFTER_MS longer. */
 export function latest(work) {
   let running = null; // the controller of the current run
-  let next = null;
-  return async (...args) => {
-    next = args;
+  let isDue = false;
+  return async () => {
+    isDue = true;
     if (running) return setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
-    while (next) {
-      const current = next;
-      next = null;
+    while (isDue) {
+      isDue = false;
       running = new AbortController();
-      await work(running.signal, ...current).finally(() => { running = null; });
+      await work(running.signal).finally(() => { running = null; });
     }
   };
 }
