@@ -2,7 +2,7 @@
 
 import { isHandledElsewhere } from "./api.js";
 
-const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected"]);
+const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected", "style"]);
 
 /** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element; null and false children are left out. */
 export function h(tag, props = {}, ...children) {
