@@ -58,10 +58,8 @@ function takeMeasured(file, target) {
   problem?.showInView(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
 }
 
-class NotFound {
-  constructor() {
-    root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
-  }
+function NotFound() {
+  root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
 }
 
 // Not through the link's address, which holds the view.
