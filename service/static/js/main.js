@@ -40,8 +40,7 @@ async function showAddress() {
   if (!Page || page || wanted !== shown) return; // the service does not answer; the page was built, or left, meanwhile
   page = new Page(root, currentAddress(), leaving.signal);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
-    if (anchor.hash && anchor.hash === `#/${address.path.join("/")}`) anchor.setAttribute("aria-current", "page");
-    else anchor.removeAttribute("aria-current");
+    anchor.ariaCurrent = anchor.hash === `#/${address.path.join("/")}` ? "page" : null;
   }
   if (isFirst) setTimeout(() => Object.values(PAGES).forEach((load) => load().catch(() => null)), REST_MS); // while the service answers
   else {
@@ -59,10 +58,8 @@ function takeMeasured(file, target) {
   problem?.showInView(new Error(`${file.name}: drop measured points on a diagram or on thresholds.`));
 }
 
-class NotFound {
-  constructor() {
-    root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
-  }
+function NotFound() {
+  root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
 }
 
 // Not through the link's address, which holds the view.

@@ -9,7 +9,7 @@ import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
 import { queryNumber, numberInput, sliders } from "../views/controls.js";
-import { CyclesView } from "../views/cycles.js";
+import { Cycles } from "../views/cycles.js";
 import { buildFrame } from "../views/frame.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
@@ -34,12 +34,17 @@ function contactOf() {
 }
 
 /** The cycles of the spring, and the flights of the motion shown. */
-class Cycles extends CyclesView {
+class SpringCycles extends Cycles {
   isContinuous = true;
 
-  constructor(root, signal, bar, words, motion) {
-    super({ sources: [SPRING], signal, bar, onSelect: (cell) => setQuery(cellQuery(cell)) });
-    Object.assign(this, { motion, words });
+  /** `words`: an element for the thresholds; `motion`: the panel of the motion. */
+  constructor(root, view) {
+    super(root, { sources: [SPRING], onSelect: (cell) => setQuery(cellQuery(cell)), ...view }, HINT);
+    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.signal });
+    this.describeThresholds();
+  }
+
+  controls() {
     const typed = h("span", { className: "controls" });
     const changeContact = (name) => {
       setQuery({ contact: name === "ideal" ? null : name, restitution: null, penetration: null });
@@ -57,9 +62,7 @@ class Cycles extends CyclesView {
       ].filter(Boolean));
     };
     this.showChoices();
-    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, AXES), contact, typed, cycles), hint: HINT });
-    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.signal });
-    this.describeThresholds();
+    return [sliders(this, AXES), contact, typed, cycles];
   }
 
   /** As typed, not only the values of the sliders. */
@@ -129,7 +132,7 @@ export class Explore {
     const words = h("p", { className: "summary closed", role: "status" });
     const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
     this.motion = new TrajectoryPanel(frame.trajectorySection, signal);
-    this.view = new Cycles(frame.panel, signal, frame.controls, words, this.motion);
+    this.view = new SpringCycles(frame.panel, { signal, bar: frame.controls, words, motion: this.motion });
     const move = latest(() => this.#move()); // not aborted: the service computes it anyway
     this.load = () => {
       this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });

@@ -68,17 +68,14 @@ function firstClause(description) {
   return clause.charAt(0).toLowerCase() + clause.slice(1);
 }
 
-/** What a sweep of a figure shows: the figure's title, or how the sweep differs: "figure 7, hardly settled" → "hardly settled". */
-function variant({ name }, title) {
-  const [, ...words] = name.split(", ");
-  return words.join(", ") || title;
-}
-
 /** The sweeps of the paper's figures: [{title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value of `figure` in an
  * address: "7", or "7.2" for the second sweep of a figure. */
 export async function loadPresets() {
   return (await requestJson("/v1/figures")).map(({ number, title, sweeps }) => ({
     title: `Fig. ${number}: ${title}`,
-    sweeps: sweeps.map((spec, i) => ({ spec, key: i ? `${number}.${i + 1}` : String(number), text: `Fig. ${number}: ${variant(spec, title)}` })),
+    sweeps: sweeps.map((spec, i) => {
+      const variant = spec.name.split(", ").slice(1).join(", "); // of "figure 7, hardly settled"
+      return { spec, key: i ? `${number}.${i + 1}` : String(number), text: `Fig. ${number}: ${variant || title}` };
+    }),
   }));
 }

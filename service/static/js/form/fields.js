@@ -44,12 +44,10 @@ export function schemaField(name, { title, about, type, choices, default: initia
   if (choices) return shown(h("select", { "data-field": id }, choices.map((value) => h("option", { value }, CHOICES[name]?.[value] ?? value))), "value");
   if (type === "boolean") return shown(h("input", { type: "checkbox", "data-field": id }), "checked");
   if (type === "string") return shown(input(TEXT_INPUT), "value");
-  if (type === "array") {
-    const list = input({ ...TEXT_INPUT, placeholder });
-    return field(list, () => list.value.match(/[^,;\s]+/g), (values) => { list.value = (values ?? []).join(", "); });
-  }
-  const control = input({ placeholder });
-  return field(control, () => parseNumber(control.value), (value) => { control.value = String(value ?? ""); });
+  const isList = type === "array";
+  const control = input({ ...(isList && TEXT_INPUT), placeholder });
+  const read = () => (isList ? control.value.match(/[^,;\s]+/g) : parseNumber(control.value));
+  return field(control, read, (value) => { control.value = [value ?? ""].flat().join(", "); });
 }
 
 /** An object's fields, `parts` of the schema, under a heading; of an object among them, its last number. Its value begins with `fixed`. */

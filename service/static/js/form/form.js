@@ -10,7 +10,7 @@ import { OF_REST, kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
 import { PastedSpecification } from "./pasted.js";
 import { Plan } from "./plan.js";
-import { showInput, showProblems } from "./problems.js";
+import { showProblems, unfolded } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
 const INVALID = new Set([413, 422]); // statuses of a specification that is refused
@@ -123,7 +123,7 @@ export class SweepForm {
       this.#fill(spec ? this.source : { ...this.studies.rest.begin, ...axes, ...contact });
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
-      if (field in this.fields) showInput(this.fields[field].element.querySelector("[data-field]"));
+      if (field in this.fields) unfolded(this.fields[field].element.querySelector("[data-field]")).focus();
       this.pasted.takeDropped();
     } catch (error) {
       if (!isOutdated()) this.#showError(error);

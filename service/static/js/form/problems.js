@@ -47,16 +47,14 @@ function inWords({ rule, code }, input) {
   return rule;
 }
 
-const unfold = (input) => { for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true; };
-
-/** Show an input that may be folded away, with the keyboard focus. */
-export function showInput(input) {
-  unfold(input);
-  input.focus();
+/** Open what an input is folded away in; returns the input. */
+export function unfolded(input) {
+  for (let fold = input.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
+  return input;
 }
 
 function mark(input, rule) {
-  unfold(input);
+  unfolded(input);
   const id = `error-${input.dataset.field.replaceAll(".", "-")}`;
   input.setAttribute("aria-invalid", "true");
   input.setAttribute("aria-describedby", id);

@@ -54,10 +54,9 @@ function sharedAnswer(path) {
 
 async function send(path, { method = "GET", body, signal }, timeout) {
   if (shared) return sharedAnswer(path);
-  const headers = {};
-  if (body !== undefined) headers["Content-Type"] = body instanceof Blob ? "application/octet-stream" : "application/json";
   const token = sessionStorage.getItem(TOKEN_KEY);
-  if (token) headers.Authorization = `Bearer ${token}`;
+  const type = body instanceof Blob ? "application/octet-stream" : "application/json";
+  const headers = { ...(body !== undefined && { "Content-Type": type }), ...(token && { Authorization: `Bearer ${token}` }) };
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
   const response = await answered(fetch(path, {
     method,
@@ -125,10 +124,10 @@ export async function requestDataset(path, options) {
 }
 
 /** The parts of a result along a dimension, one object per index: of each variable that begins with it the value, or the
- * part of a flat array. A result without this dimension has one part, all of it. */
+ * part of a flat array, without the dimension in its name. A result without this dimension has one part, all of it. */
 export function partsOf({ attrs, dims, ...variables }, dim) {
   if (!(dim in dims)) return [Object.fromEntries(Object.entries(variables).map(([name, { data }]) => [name, data]))];
-  const divided = Object.entries(variables).filter(([, variable]) => variable.dims[0] === dim);
+  const divided = Object.entries(variables).filter(([, variable]) => variable.dims[0] === dim).map(([name, variable]) => [name.replace(`${dim}_`, ""), variable]);
   const part = ({ data, shape = [] }, i) => (shape.length > 1 ? data.subarray((i * data.length) / dims[dim], ((i + 1) * data.length) / dims[dim]) : data[i]);
   return Array.from({ length: dims[dim] }, (_, i) => Object.fromEntries(divided.map(([name, variable]) => [name, part(variable, i)])));
 }

@@ -41,7 +41,6 @@ export function watchConnection(onRestored) {
     const input = dialog.querySelector("input");
     setToken(input.value.trim());
     input.value = "";
-    refusal.hidden = true;
     onRestored();
   });
 }

@@ -2,7 +2,7 @@
 
 import { isHandledElsewhere } from "./api.js";
 
-const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected"]);
+const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected", "style"]);
 
 /** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element; null and false children are left out. */
 export function h(tag, props = {}, ...children) {
@@ -57,15 +57,12 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
 const COPIED_MS = 1500;
 
 /** A button that copies `what`, which `text()` returns, and says so. */
-export const copyButton = (what, text) => h("button", {
-  type: "button", className: "quiet", "aria-label": `Copy ${what}`,
-  onclick: async ({ currentTarget: button }) => {
-    const content = text(); // also without a clipboard: it may select the text
-    button.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";
-    announce(`${button.textContent}.`);
-    setTimeout(() => { button.textContent = "Copy"; }, COPIED_MS);
-  },
-}, "Copy");
+export const copyButton = (what, text) => button("Copy", async ({ currentTarget }) => {
+  const content = text(); // also without a clipboard: it may select the text
+  currentTarget.textContent = (await navigator.clipboard?.writeText(content).then(() => "Copied", () => null)) ?? "Not copied";
+  announce(`${currentTarget.textContent}.`);
+  setTimeout(() => { currentTarget.textContent = "Copy"; }, COPIED_MS);
+}, { "aria-label": `Copy ${what}` });
 
 export function announce(text) {
   document.getElementById("status").textContent = text;
@@ -82,19 +79,18 @@ export function debounced(milliseconds, work) {
 
 const ABORT_AFTER_MS = 150;
 
-/** `work(signal, ...args)`, one run at a time. Of the calls made during a run only the last is kept; it starts when
- * the run ends, and the run is aborted through its signal if it takes ABORT_AFTER_MS longer. */
+/** `work(signal)`, one run at a time. Calls made during a run become one, which starts when the run ends; the run is
+ * aborted through its signal if it takes ABORT_AFTER_MS longer. */
 export function latest(work) {
   let running = null; // the controller of the current run
-  let next = null;
-  return async (...args) => {
-    next = args;
+  let isDue = false;
+  return async () => {
+    isDue = true;
     if (running) return setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
-    while (next) {
-      const current = next;
-      next = null;
+    while (isDue) {
+      isDue = false;
       running = new AbortController();
-      await work(running.signal, ...current).finally(() => { running = null; });
+      await work(running.signal).finally(() => { running = null; });
     }
   };
 }

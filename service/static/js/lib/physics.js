@@ -33,7 +33,6 @@ export function axisValues(axis) {
   if (typeof axis === "number") return [axis];
   if (Array.isArray(axis)) return axis;
   const { start, stop, num, spacing } = axis;
-  if (num === 1) return [start];
   const log = spacing === "log";
   const [from, to] = log ? [Math.log(start), Math.log(stop)] : [start, stop];
   return Array.from({ length: num }, (_, i) => {

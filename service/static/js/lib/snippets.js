@@ -1,6 +1,6 @@
 // A specification as text to copy: a program in Python, a TOML file for the shell, a request with curl, JSON.
 
-import { copyButton, h } from "./dom.js";
+import { choice, copyButton, h } from "./dom.js";
 import { AXES, isSweep } from "./physics.js";
 
 const PYTHON = { null: "None", true: "True", false: "False" };
@@ -47,18 +47,17 @@ ${assignments(spec).join("\n")}
 /** The specification in a language of choice, with a button that copies it; `show(spec)` changes it. */
 export class Snippets {
   constructor(language = "Python") {
-    const options = Object.keys(LANGUAGES).map((name) => h("option", { value: name, selected: name === language }, name));
-    this.select = h("select", { "aria-label": "Language", onchange: () => this.show() }, options);
+    this.language = choice("As", Object.keys(LANGUAGES).map((name) => [name, name]), language, () => this.show(), { "aria-label": "Language" });
     const copy = copyButton("the specification", () => {
       getSelection().selectAllChildren(this.text); // for browsers that do not allow copying: a service without https
       return this.text.textContent;
     });
     this.text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
-    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, h("label", { className: "option" }, "As ", this.select), copy), this.text);
+    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, this.language, copy), this.text);
   }
 
   show(spec = this.spec) {
     this.spec = spec;
-    this.text.textContent = LANGUAGES[this.select.value](spec);
+    this.text.textContent = LANGUAGES[this.language.control.value](spec);
   }
 }

@@ -15,7 +15,7 @@ const STARTED = { periods: 16, samples: 240 };
 const LONGEST = 24; // plate periods of a cycle that is played whole
 /** Of a return map, which needs many flights and nothing else of the motion. */
 const MAPPED = { periods: 120, samples: 2 };
-const SLOW_MS = 2500; // after which the note explains the delay
+const SLOW_MS = 2500; // after which a note explains the delay of another motion
 const MAX_LISTED = 8; // flights, or numbers of a variable
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
 const TITLES = { cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }; // by the kind of start
@@ -78,7 +78,7 @@ export class TrajectoryPanel {
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
     this.proof = h("div", { hidden: true, role: "status" });
-    this.note = h("p", { className: "note", role: "status", hidden: true });
+    this.note = h("p", { className: "note", role: "status", hidden: true }, "Computing the trajectory … The first one of a contact model compiles its kernel.");
     this.problem = problemLine();
     this.readout = h("p", { className: "readout", role: "status" });
     this.closing = new AbortController();
@@ -93,15 +93,11 @@ export class TrajectoryPanel {
       ...(this.onClose ? [close] : []));
   }
 
-  /** Play a motion; a note tells that it is computed, and after SLOW_MS why that takes long. */
+  /** Play a motion; a note tells that it is computed, beside another one after SLOW_MS. */
   async #load(path, options) {
     clearTimeout(this.timer);
-    this.note.textContent = "Computing the trajectory …";
     this.note.hidden = Boolean(this.trajectory);
-    this.timer = setTimeout(() => {
-      this.note.hidden = false;
-      this.note.textContent = "Computing the trajectory … The first one of a contact model compiles its kernel.";
-    }, SLOW_MS);
+    this.timer = setTimeout(() => { this.note.hidden = false; }, SLOW_MS);
     try {
       this.trajectory = await requestMotion(path, options);
     } finally {

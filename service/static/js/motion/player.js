@@ -2,10 +2,8 @@
 
 import { choice, h } from "../lib/dom.js";
 import { TWO_PI, clamp } from "../lib/physics.js";
-import { theme } from "../plot/colours.js";
 import { disc, polygon, polyline, resizedContext, verticalLine } from "../plot/drawing.js";
 import { Plot } from "../plot/plot.js";
-import { scale } from "../plot/scale.js";
 
 const SECONDS_PER_PERIOD = 1.6; // at full speed
 const SPEEDS = [1, 0.5, 0.25, 0.1];
@@ -75,19 +73,17 @@ export class Player {
 
   #draw() {
     if (!this.plot.box || !this.heights) return;
-    drawInstant(this.canvas, this.heights, this.phase, this.plot.canvas.clientHeight);
+    drawInstant(this.canvas, this.heights, this.phase, this.plot);
     this.plot.drawCursor();
     this.position.value = String(this.phase / TWO_PI);
     this.element.dataset.phase = this.phase.toFixed(3);
   }
 }
 
-/** Draw `heights` at `phase` on a canvas as high as the plot beside it. */
-function drawInstant(canvas, heights, phase, height) {
+/** Draw `heights` at `phase` on a canvas as high as the plot beside it, in its scale and colours. */
+function drawInstant(canvas, heights, phase, { canvas: { clientHeight: height }, box: { y: { pixel: y }, theme: colours } }) {
   const width = canvas.clientWidth;
   const ctx = resizedContext(canvas, width, height);
-  const colours = theme();
-  const y = scale(heights.low, heights.high, height - 46, 12).pixel; // the margins of the plot
   const { plate, lower, upper, inFlight } = heightsAt(heights, phase);
   const middle = width / 2;
   drawPlate(ctx, middle, y(plate), width, colours);

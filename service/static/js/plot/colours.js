@@ -5,21 +5,16 @@ import { LABEL, LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
 
 const DARK = "screen and (prefers-color-scheme: dark)"; // paper is white
 const PROPERTIES = ["surface", "text", "muted", "border", ...Object.keys(palette.lines)];
-const SERIF = "'STIX Two Text', 'Iowan Old Style', Palatino, Georgia, 'DejaVu Serif', serif";
-const themes = new Map();
 
 for (const [name, [light, dark]] of Object.entries(palette.lines)) document.documentElement.style.setProperty(`--${name}`, `light-dark(${light}, ${dark})`);
 
+const style = getComputedStyle(document.documentElement);
+const colourOf = (name, dark) => style.getPropertyValue(`--${name}`).match(/#\w+/g)[Number(dark)]; // light-dark(a, b)
+const coloursOf = (dark) => Object.fromEntries(PROPERTIES.map((name) => [name, colourOf(name, dark)]));
+const THEMES = [false, true].map((dark) => ({ ...coloursOf(dark), dark, serif: style.getPropertyValue("--serif") }));
+
 /** The style sheet's colours and font for drawing, of the current colour scheme. */
-export function theme() {
-  const dark = matchMedia(DARK).matches;
-  if (!themes.has(dark)) {
-    const style = getComputedStyle(document.documentElement);
-    const colours = PROPERTIES.map((name) => [name, style.getPropertyValue(`--${name}`).match(/#\w+/g)[Number(dark)]]); // light-dark(a, b)
-    themes.set(dark, { ...Object.fromEntries(colours), dark, serif: SERIF });
-  }
-  return themes.get(dark);
-}
+export const theme = () => THEMES[Number(matchMedia(DARK).matches)];
 
 /** Attractors of a plane with a colour of their own; the others share one. */
 export const COLOURED = palette.attractors.length;

@@ -12,14 +12,10 @@ export const flightsIn = ({ flight_time: times, keep }, cell) => times.subarray(
 /** Draw lines {values, flight_time, keep} over each other, each in `colourOf(line)`. All but the last are drawn with
  * larger dots, which remain visible where two directions agree. */
 export function drawFlights(ctx, box, lines, colourOf) {
-  const cells = lines.map((line) => cellsInView(box, line));
+  const cells = lines.map(({ values }) => Array.from(values.keys()).filter((cell) => values[cell] >= box.x.low && values[cell] <= box.x.high)); // in view
   let dots = 0;
   const areFew = lines.every((line, i) => cells[i].every((cell) => (dots += flightsIn(line, cell).length) <= MAX_DOTS));
   lines.forEach((line, i) => (areFew ? drawDots : drawDensity)(ctx, box, line, cells[i], colourOf(line), i < lines.length - 1));
-}
-
-function cellsInView(box, { values }) {
-  return Array.from(values.keys()).filter((cell) => values[cell] >= box.x.low && values[cell] <= box.x.high);
 }
 
 function drawDots(ctx, box, line, cells, colour, isLarge) {

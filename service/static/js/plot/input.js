@@ -52,9 +52,7 @@ const valuesAt = ([x, y], { box }) => [box.x.value(x), box.y.value(y)];
 
 function listenToPointers(plot, handlers) {
   const { element } = plot;
-  let dragStart = null;
-  let dragEnd = null;
-  let isPan = false; // a drag with Shift moves the window
+  let drag = null; // {start, end, isPan: with Shift it moves the window}
   let selecting; // a press selects, unless another one follows that makes it a double click
   const pressed = new Map(); // where pointers are down: two pinch
   const position = (event) => positionOf(event, plot);
@@ -65,8 +63,7 @@ function listenToPointers(plot, handlers) {
     clearTimeout(selecting);
     pressed.set(event.pointerId, position(event));
     if (event.button !== 0 || !isInside(position(event))) return;
-    dragStart = pressed.size > 1 ? null : position(event);
-    dragEnd = null;
+    drag = pressed.size > 1 ? null : { start: position(event) };
   });
   element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false }); // no scrolling
   listen(plot, "pointermove", (event) => {
@@ -75,32 +72,30 @@ function listenToPointers(plot, handlers) {
       const before = between(pressed);
       const after = between(pressed.set(event.pointerId, point));
       handlers.scale(Array(2).fill(before.length / Math.max(after.length, 1)), values(before.middle), values(after.middle));
-    } else if (dragStart && event.shiftKey) {
+    } else if (drag && event.shiftKey) {
       element.setPointerCapture(event.pointerId);
-      if (dragEnd) handlers.scale([1, 1], values(dragEnd), values(point));
-      [dragEnd, isPan] = [point, true];
-    } else if (dragStart && Math.hypot(point[0] - dragStart[0], point[1] - dragStart[1]) > DRAG_PX) {
-      dragEnd = point;
+      if (drag.end) handlers.scale([1, 1], values(drag.end), values(point));
+      Object.assign(drag, { end: point, isPan: true });
+    } else if (drag && Math.hypot(point[0] - drag.start[0], point[1] - drag.start[1]) > DRAG_PX) {
+      drag.end = point;
       element.setPointerCapture(event.pointerId);
       plot.drawCursor();
-      drawSelection(plot, dragStart, dragEnd);
+      drawSelection(plot, drag.start, drag.end);
     } else if (isInside(point)) handlers.hover(...values(point));
   });
   listen(plot, "pointerup", (event) => {
-    if (isPan) isPan = false;
-    else if (dragEnd) handlers.zoom(selectedWindow(plot, dragStart, dragEnd));
-    else if (dragStart && isInside(position(event))) {
+    if (drag?.end && !drag.isPan) handlers.zoom(selectedWindow(plot, drag.start, drag.end));
+    else if (drag && !drag.end && isInside(position(event))) {
       const [x, y] = values(position(event));
       selecting = setTimeout(() => element.isConnected && handlers.select(x, y), handlers.isZoomed() ? DOUBLE_MS : 0);
     }
-    dragStart = dragEnd = null;
+    drag = null;
   });
   listen(plot, "pointercancel", () => {
-    dragStart = dragEnd = null;
-    isPan = false;
+    drag = null;
     plot.drawCursor();
   });
-  listen(plot, "pointerleave", () => dragStart || handlers.leave());
+  listen(plot, "pointerleave", () => drag || handlers.leave());
   for (const type of ["pointerup", "pointercancel", "pointerleave"]) element.addEventListener(type, ({ pointerId }) => pressed.delete(pointerId));
   listen(plot, "dblclick", () => {
     clearTimeout(selecting);

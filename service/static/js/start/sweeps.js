@@ -102,8 +102,7 @@ export class SweepList {
 
   #find() {
     setQuery(Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])));
-    this.cursors = [null];
-    this.refresh();
+    this.show();
   }
 
   /** Show another page of the list. The heading takes the keyboard focus: the pressed button disappears. */

@@ -45,7 +45,7 @@ export class Basin extends PlaneView {
     const entry = (attractor) => legendEntry(attractorColour(attractor.attractor, theme().dark), h("button", {
       type: "button", className: "link", title: "See the attractor move",
       onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
-    }, attractorText(attractor)), " ", h("small", {}, share(attractor.attractor_fraction)));
+    }, attractorText(attractor)), " ", h("small", {}, share(attractor.fraction)));
     this.legend.replaceChildren(
       ...this.attractors.map(entry),
       ...(undecided ? [legendEntry(theme().surface, "undecided ", h("small", {}, share(undecided)))] : []));
@@ -90,9 +90,7 @@ export class Basin extends PlaneView {
 }
 
 /** "(3, 4), flights up to 7.956 rad, λ₁ −0.31 ± 0.02" */
-function attractorText(attractor) {
-  const names = ["outcome", "label", "bounces", "periods", "longest_flight", "lyapunov", "lyapunov_error"];
-  const [outcome, label, bounces, periods, longest, exponents, error] = names.map((name) => attractor[`attractor_${name}`]);
+function attractorText({ outcome, label, bounces, periods, longest_flight: longest, lyapunov: exponents, lyapunov_error: error }) {
   const parts = [label.startsWith("(") || label === "rest" ? outcomeText(outcome, bounces, periods) : label];
   if (longest) parts.push(`flights up to ${number(longest, 4)} rad`);
   if (Number.isFinite(exponents?.[0])) parts.push(`λ₁ ${exponentText(exponents[0], error)}`);

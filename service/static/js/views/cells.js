@@ -141,8 +141,4 @@ export class ClassLegend {
 
 export const legendEntry = (colour, ...texts) => h("li", {}, swatch(colour), h("div", {}, texts));
 
-export function swatch(colour) {
-  const element = h("span", { className: "swatch", "aria-hidden": "true" });
-  element.style.background = colour;
-  return element;
-}
+export const swatch = (colour) => h("span", { className: "swatch", "aria-hidden": "true", style: `background: ${colour}` });

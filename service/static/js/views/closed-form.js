@@ -73,8 +73,7 @@ export function branchesPath({ omega, xi }, gammaMax, model, longest = 3) {
 }
 
 /** Branches as lists of cycles {gamma, flight_time, stable, violations, multipliers, bounces, periods}, and their events. */
-export const readBranches = (result) => ({ branches: unprefixed(result, "branch").map(cyclesOf), events: unprefixed(result, "event") });
-const unprefixed = (result, dim) => partsOf(result, dim).map((part) => Object.fromEntries(Object.entries(part).map(([name, value]) => [name.replace(`${dim}_`, ""), value])));
+export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(cyclesOf), events: partsOf(result, "event") });
 
 const cyclesOf = ({ bounces, periods, gamma, flight_time: times, stable, violations, multipliers }) => Array.from(gamma, (value, i) => ({
   bounces, periods, gamma: value, flight_time: times[i], stable: stable[i], violations: violations[i], multipliers: multipliers.subarray(4 * i),
@@ -88,7 +87,7 @@ export function foldsOver(view) {
   const { omega, gamma } = view.grid;
   const fixed = { omega_start: omega[0], omega_stop: omega.at(-1), modes: FOLD_MODES, kinds: "fold", gamma_max: gamma.at(-1) };
   const path = () => `/v1/curves?${query({ xi: view.place.xi, ...fixed, ...contactQuery(view.job.spec.model) })}`;
-  return new CyclesOverlay(view, "Folds", "folds", path, (result) => ({ curves: partsOf(result, "curve"), points: unprefixed(result, "event") }));
+  return new CyclesOverlay(view, "Folds", "folds", path, (result) => ({ curves: partsOf(result, "curve"), points: partsOf(result, "event") }));
 }
 
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */

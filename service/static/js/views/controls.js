@@ -15,14 +15,11 @@ export function sliders(view, axes) {
 function slider(view, axis) {
   const values = view.valuesOf(axis);
   const id = `slider-${axis}`;
-  const typed = h("input", {
-    type: "text", inputmode: "decimal", size: 1, "aria-label": `Value of ${SYMBOL[axis]}`,
-    onchange: () => {
-      const value = typedIn(typed);
-      const nearest = view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)];
-      if (value !== null) setQuery({ [axis]: addressValue(nearest) });
-    },
-  });
+  const take = (value) => {
+    const nearest = view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)];
+    setQuery({ [axis]: addressValue(nearest) });
+  };
+  const typed = typedNumber(take, {}, { size: 1, "aria-label": `Value of ${SYMBOL[axis]}` });
   const input = h("input", {
     id, type: "range", min: 0, max: values.length - 1, step: 1, title: meaningOf(axis),
     oninput: () => setQuery({ [axis]: addressValue(values[input.valueAsNumber]) }),
@@ -48,25 +45,23 @@ export function queryNumber(name, otherwise, { min = 0, max = Number.MAX_VALUE }
   return value >= min && value <= max ? value : otherwise;
 }
 
-/** The number from `min` to `max` that was typed; null of another text, and the input says why. */
-function typedIn(input, { min = -Infinity, max = Infinity } = {}) {
-  const text = input.value.trim().replaceAll("−", "-");
-  const value = numberIn(text);
-  const lowest = min > -Infinity ? ` of ${min} or more` : "";
-  const limits = max < Infinity ? ` from ${min} to ${max}` : lowest;
-  const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
-  input.setCustomValidity(Number.isFinite(value) && value >= min && value <= max ? "" : rule);
-  return input.reportValidity() ? value : null;
+/** An input for a number from `min` to `max`, which `take(value)` gets; of another text it says why it is none. */
+function typedNumber(take, { min = -Infinity, max = Infinity }, attributes) {
+  const onchange = ({ target }) => {
+    const text = target.value.trim().replaceAll("−", "-");
+    const value = numberIn(text);
+    const lowest = min > -Infinity ? ` of ${min} or more` : "";
+    const limits = max < Infinity ? ` from ${min} to ${max}` : lowest;
+    const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
+    target.setCustomValidity(Number.isFinite(value) && value >= min && value <= max ? "" : rule);
+    if (target.reportValidity()) take(value);
+  };
+  return h("input", { type: "text", inputmode: "decimal", onchange, ...attributes });
 }
 
-/** An input for such a number. */
-export const numberInput = (label, name, otherwise, limits = {}, attributes = {}) => h("label", { className: "option" }, `${label} `, h("input", {
-  type: "text", inputmode: "decimal", value: queryNumber(name, otherwise, limits), ...attributes,
-  onchange: ({ target }) => {
-    const value = typedIn(target, { min: 0, ...limits });
-    if (value !== null) setQuery({ [name]: value === otherwise ? null : value });
-  },
-}));
+/** An input for such a number of the address. */
+export const numberInput = (label, name, otherwise, limits = {}, attributes = {}) => h("label", { className: "option" }, `${label} `, typedNumber(
+  (value) => setQuery({ [name]: value === otherwise ? null : value }), { min: 0, ...limits }, { value: queryNumber(name, otherwise, limits), ...attributes }));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
 export const minFlightOf = ({ spec }) => queryNumber("min", spec.micro_flight);

@@ -13,15 +13,23 @@ import { drawThreshold } from "./diagram.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
 
 const STEP = 0.01; // of Γ, by an arrow key
-const HINT = "Cycles of one bounce. Point at a branch to read it, press to see the cycle move, drag or turn the wheel to zoom.";
 
-/** A view of branches {branches, events} at one Ω and ξ. Cells are {gamma}, and on a branch cycles. */
-export class CyclesView extends PlotView {
+/** The branches of a study of cycles at one Ω and ξ: {branches, events}. Cells are {gamma}, and on a branch cycles. */
+export class Cycles extends PlotView {
   name = "cycles";
 
-  build(root, parts) {
+  constructor(root, view, hint = "Cycles of one bounce. Point at a branch to read it, press to see the cycle move, drag or turn the wheel to zoom.") {
+    super(view);
     const events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
-    super.build(root, { label: "Flight times of the cycles over Γ", below: [events], ...parts });
+    this.build(root, { controls: h("div", { className: "controls" }, this.controls()), label: "Flight times of the cycles over Γ", hint, below: [events] });
+  }
+
+  controls() {
+    return [sliders(this, ["omega", "xi"])];
+  }
+
+  filePath() {
+    return `/v1/jobs/${this.job.id}/orbits?${query(this.place)}`;
   }
 
   read([result]) {
@@ -91,17 +99,5 @@ export class CyclesView extends PlotView {
 
   cellOf({ gamma, periods, flight_time: time }) {
     return periods ? { ...this.place, gamma, direction: startName("cycle", periods, time) } : null;
-  }
-}
-
-/** The branches of a study of cycles. */
-export class Orbits extends CyclesView {
-  constructor(root, view) {
-    super(view);
-    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["omega", "xi"])), hint: HINT });
-  }
-
-  filePath() {
-    return `/v1/jobs/${this.job.id}/orbits?${query(this.place)}`;
   }
 }

@@ -113,8 +113,8 @@ function changedCells(job, audit) {
   if (!cells.length) return h("p", {}, "No cell looked at has changed.");
   return h("details", {},
     h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
-    h("ul", {}, cells.map(({ cell_gamma: gamma, cell_omega: omega, cell_xi: xi, ...cell }) => h("li", {},
-      h("a", { href: link(["job", job.id, "diagram"], { cell: [gamma, omega, xi, cell.cell_direction].join(",") }) },
+    h("ul", {}, cells.map(({ gamma, omega, xi, direction, stored, reference, undecided }) => h("li", {},
+      h("a", { href: link(["job", job.id, "diagram"], { cell: [gamma, omega, xi, direction].join(",") }) },
         `Γ = ${axisText(gamma, grid.gamma)}, Ω = ${axisText(omega, grid.omega)}, ξ = ${axisText(xi, grid.xi)}`),
-      `: ${cell.cell_stored}, by the reference ${cell.cell_reference}${cell.cell_undecided ? " (undecided)" : ""}`))));
+      `: ${stored}, by the reference ${reference}${undecided ? " (undecided)" : ""}`))));
 }

@@ -6,7 +6,7 @@ import { announce, h, problemLine, workButton } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
-import { Orbits } from "./cycles.js";
+import { Cycles } from "./cycles.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
 import { buildFrame } from "./frame.js";
@@ -18,7 +18,7 @@ import { Thresholds } from "./thresholds.js";
 
 const TABS = { __proto__: null, diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
 const STUDY_TABS = { // by the kind of study; others have their details alone
-  orbits: { __proto__: null, cycles: ["Branches", Orbits], details: TABS.details },
+  orbits: { __proto__: null, cycles: ["Branches", Cycles], details: TABS.details },
   basin: { __proto__: null, basin: ["Basins", Basin], details: TABS.details },
   multistability: { __proto__: null, attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
 };

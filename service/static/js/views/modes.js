@@ -132,7 +132,6 @@ export class Modes extends PlaneView {
     for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    if (!hysteresis && mark === null) return this.drawCells(ctx, box, (cell) => colours[this.painted[cell]]);
     this.drawCells(ctx, box, (cell, x, y) => {
       const line = hysteresis?.[cell] ? hatchAt(x, y, hysteresis[cell] === HYSTERESIS.mode) : -1;
       if (line >= 0) return hatch[line];

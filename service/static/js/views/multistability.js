@@ -16,11 +16,11 @@ import { FLIGHT_AXIS } from "./plot-view.js";
 
 const MAX_LISTED = 6; // flights
 const eventColumns = (values) => [
-  ["Γ", ({ event_gamma_below: low, event_gamma_above: high }) => `${axisText(low, values)}–${axisText(high, values)}`],
-  ["event", ({ event_kind: kind }) => kind],
-  ["attractor", ({ event_attractor: id }) => String(id)],
-  ["mode", ({ event_kind: kind, event_below: below, event_above: above }) => inSymbols({ mode: `${below} to ${above}`, birth: above }[kind] ?? below)],
-  ["leads to", ({ event_leads_to: other }) => (other ? String(other) : "")],
+  ["Γ", ({ gamma_below: low, gamma_above: high }) => `${axisText(low, values)}–${axisText(high, values)}`],
+  ["event", ({ kind }) => kind],
+  ["attractor", ({ attractor }) => String(attractor)],
+  ["mode", ({ kind, below, above }) => inSymbols({ mode: `${below} to ${above}`, birth: above }[kind] ?? below)],
+  ["leads to", ({ leads_to: other }) => (other ? String(other) : "")],
 ];
 
 /** What both views share: the plane at one ξ, the legend of its attractors, and an attractor seen to move. */
@@ -44,7 +44,7 @@ class AttractorView extends PlaneView {
   read([result]) {
     this.plane = result;
     [this.columns, this.rows, this.xi, this.count] = ["gamma", "omega", "xi", "count"].map((name) => result[name].data);
-    this.attractors = partsOf(result, "attractor").map(({ attractor: id, attractor_label: label }) => ({ id, label: inSymbols(label) }));
+    this.attractors = partsOf(result, "attractor").map(({ attractor: id, label }) => ({ id, label: inSymbols(label) }));
     this.cells = cellsOf(result);
     this.message = this.count.every((n) => n < 0) ? "Not computed yet" : null;
   }
@@ -97,7 +97,7 @@ export class AttractorDiagram extends AttractorView {
   }
 
   #drawEvents(ctx, box) {
-    for (const { event_kind: kind, event_attractor: id, event_gamma_below: low, event_gamma_above: high } of partsOf(this.plane, "event")) {
+    for (const { kind, attractor: id, gamma_below: low, gamma_above: high } of partsOf(this.plane, "event")) {
       if (kind !== "mode") verticalLine(ctx, box, box.x.pixel((low + high) / 2), numberedColour(id, box.theme.dark), 1, kind === "birth" ? [5, 4] : [1, 3]);
     }
   }
