@@ -56,8 +56,7 @@ def readout_at(page: Any, at: list[float]) -> str:
     return str(page.locator(".panel .readout").inner_text())
 
 
-#: A curve through points of a parabola, in pixels of a plot, 1,000 wide, of Γ from 0.5 to 0.5 + 1e-6 and φ from
-#: 4 to 4.001.
+#: A curve through points of a parabola, in pixels of a plot, Γ from 0.5 to 0.5 + 1e-6, φ from 4 to 4.001.
 CURVE = """import(new URL("static/js/plot/drawing.js", location)).then(({ curve }) => {
     const axis = (low, width) => ({ pixel: (value) => (1000 * (value - low)) / width });
     const box = { left: 0, top: 0, width: 1000, height: 1000, x: axis(0.5, 1e-6), y: axis(4, 0.001) };

@@ -7,6 +7,7 @@ import re
 import time
 import tomllib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -81,8 +82,14 @@ def test_the_list_tells_why_no_sweep_is_accepted(browser: Any, tmp_path: Path):
 @pytest.fixture
 def many(tmp_path: Path) -> Iterator[str]:
     """A service with thirty cancelled sweeps, half of each contact."""
-    with Ledger(tmp_path / "ledger.sqlite") as ledger, ledger.writing() as writing:
-        for number in range(30):
+    with _service_with(30, tmp_path) as address:
+        yield address
+
+
+@contextmanager
+def _service_with(sweeps: int, folder: Path, pinned: bool = False) -> Iterator[str]:
+    with Ledger(folder / "ledger.sqlite") as ledger, ledger.writing() as writing:
+        for number in range(sweeps):
             kind = "soft" if number % 2 else "rigid"
             raw = {**SMALL, "name": f"number {number:02}", "xi": 0.1 + number / 100, "model": {"kind": kind}}
             spec = from_json(json.dumps(raw))
@@ -90,7 +97,8 @@ def many(tmp_path: Path) -> Iterator[str]:
             job = NewJob(spec.job_id(KERNEL_VERSION), spec.name, text, KERNEL_VERSION, (1, 2, 26), 1, 52)
             writing.insert(job, time.time())
             writing.finish(_found(writing, job.id), JobState.CANCELLED, time.time())
-    with service_at(tmp_path, Held()) as address:
+            writing.update(_found(writing, job.id), pinned=pinned)
+    with service_at(folder, Held()) as address:
         yield address
 
 
@@ -98,6 +106,15 @@ def _found(writing: WriteTransaction, job_id: str) -> JobRecord:
     record = writing.find(job_id)
     assert record is not None
     return record
+
+
+def test_of_many_pinned_sweeps_all_are_in_the_pages(browser: Any, tmp_path: Path):
+    with _service_with(101, tmp_path, pinned=True) as address, opened(browser, address) as page:
+        page.get_by_text("1 to 25 of 101, with 101 pinned").wait_for()
+        for first in (26, 51, 76, 101):
+            page.get_by_role("button", name="Next page").click()
+            page.get_by_text(f"{first} to ").wait_for()
+        _wait_names(page, "number 00")
 
 
 def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):

@@ -7,7 +7,7 @@ import { ago, count, plural } from "../lib/format.js";
 import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
-const MAX_PINNED = 100; // shown above the first page
+const MAX_PINNED = 100; // shown above the first page; of more the rest is in the pages
 const POLL_MS = 700; // while a sweep is being computed
 const IDLE_POLL_MS = 5000;
 const ERROR_MS = 8000; // how long an error is shown
@@ -21,6 +21,7 @@ const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "
 export class SweepList {
   rows = new Map(); // job id → row
   selected = new Set(); // ids, in the order in which they were selected
+  hasManyPinned = false;
   cursors = [null]; // of the pages up to the one that is shown
   jobs = []; // of this page
 
@@ -69,10 +70,14 @@ export class SweepList {
     try {
       const [pinned, others] = await Promise.all([
         request({ pinned: true, limit: MAX_PINNED }),
-        request({ pinned: false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
+        request({ pinned: this.hasManyPinned ? null : false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
       if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
-      this.#showJobs([...(this.cursors.length === 1 ? pinned.jobs : []), ...others.jobs]);
+      const hadMany = this.hasManyPinned;
+      this.hasManyPinned = pinned.total > MAX_PINNED;
+      if (this.hasManyPinned !== hadMany) return this.show();
+      const above = this.cursors.length === 1 ? pinned.jobs : [];
+      this.#showJobs([...new Map([...above, ...others.jobs].map((job) => [job.id, job])).values()]);
       this.#showRange(pinned, others);
       this.notice.hidden = !others.notice;
       setText(this.notice, others.notice ?? "");
@@ -115,12 +120,12 @@ export class SweepList {
   #showRange(pinned, others) {
     this.following = others.next;
     const before = (this.cursors.length - 1) * PAGE_SIZE;
-    const total = pinned.total + others.total;
+    const total = others.total + (this.hasManyPinned ? 0 : pinned.total);
     const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
     const foundText = isFiltered ? `${plural(total, "sweep")} found` : "";
     this.previous.hidden = !before;
     this.next.hidden = others.next === null;
-    const pinnedText = pinned.total ? `, and ${count(pinned.total)} pinned` : "";
+    const pinnedText = pinned.total ? `, ${this.hasManyPinned ? "with" : "and"} ${count(pinned.total)} pinned` : "";
     const range = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinnedText}`;
     setText(this.range, before || others.next ? range : foundText);
     this.empty.hidden = total > 0;
