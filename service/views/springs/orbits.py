@@ -205,7 +205,7 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
     lengths = [grid_length(*grid) + 2 * query.points * query.has_window for grid in _grids(query)]
     plate = query.contact()
     for name in ("energy", "prove", *WINDOW) if plate is not None else ():
-        if getattr(query, name) not in (None, False):
+        if (asked := getattr(query, name)) is not None and asked is not False:  # 0 is an end of a window
             raise InvalidRequest.of(name, "is of the closed form: leave out model")
     if query.doubled and plate is None:
         raise InvalidRequest.of("doubled", "needs a model; that of the closed form is rigid")

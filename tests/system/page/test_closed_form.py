@@ -65,10 +65,15 @@ CURVE = """import(new URL("static/js/plot/drawing.js", location)).then(({ curve 
     return curve([...points, null, [9, 9]], box).filter(Boolean);
 })"""
 
+#: The texts of the ticks of a window that is as narrow as any may be.
+TICKS = """import(new URL("static/js/plot/scale.js", location)).then(
+    ({ ticks }) => ticks(0.5532445932, 0.5532445932 + 8e-13, 6).map(({ text }) => text))"""
+
 
 def test_a_window_shows_a_branch_as_the_curve_that_it_is(browser: Any, address: str):
     with opened(browser, address) as page:
-        drawn = page.evaluate(CURVE)
+        drawn, ticks = page.evaluate(CURVE), page.evaluate(TICKS)
+    assert len(set(ticks)) == len(ticks) > 3
     assert 150 < len(drawn) < 1000
     for x, y in drawn:
         assert x == pytest.approx(1e9 * (1e-6 * y - 0.0004) ** 2, abs=0.01)

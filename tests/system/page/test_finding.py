@@ -115,6 +115,9 @@ def test_of_many_pinned_sweeps_all_are_in_the_pages(browser: Any, tmp_path: Path
             page.get_by_role("button", name="Next page").click()
             page.get_by_text(f"{first} to ").wait_for()
         _wait_names(page, "number 00")
+        page.get_by_label("Find", exact=True).fill("number 1")  # few, as a refresh finds while it is typed
+        page.evaluate("document.dispatchEvent(new Event('visibilitychange'))")
+        page.get_by_text("11 sweeps found").wait_for()
 
 
 def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):

@@ -65,7 +65,7 @@ export function windowIn(query) {
 
 /** A zoom window as query parameters, to a millionth of its sides; null removes it. */
 export function windowQuery(window) {
-  const digits = (end, side) => clamp(Math.ceil(6 + Math.log10(Math.abs(end) / side)), 6, 17);
+  const digits = (end, side) => clamp(Math.ceil(6 + (Math.log10(Math.abs(end) / side) || 0)), 6, 17); // 0: no window
   return Object.fromEntries(WINDOW.map((name) => [name, window && rounded(window[name], digits(window[name], window[`${name[0]}1`] - window[`${name[0]}0`]))]));
 }
 

@@ -39,7 +39,7 @@ function decades(low, high) {
   return (powers.length < 3 ? values : powers).map(({ value }) => ({ value, text: number(value) }));
 }
 
-const tickText = (value, digits) => value.toFixed(Math.min(digits, 12)).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
+const tickText = (value, digits) => value.toFixed(Math.min(digits, 20)).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
 
 /** [low, high], widened where they are equal: a scale needs some extent. */
 export function extent(low, high) {

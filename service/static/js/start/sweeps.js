@@ -73,9 +73,11 @@ export class SweepList {
         request({ pinned: this.hasManyPinned ? null : false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
       if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
-      const hadMany = this.hasManyPinned;
-      this.hasManyPinned = pinned.total > MAX_PINNED;
-      if (this.hasManyPinned !== hadMany) return this.show();
+      const hasManyPinned = pinned.total > MAX_PINNED;
+      if (hasManyPinned !== this.hasManyPinned) {
+        Object.assign(this, { hasManyPinned, cursors: [null] });
+        return this.refresh(); // not show(), which would take back what is typed
+      }
       const above = this.cursors.length === 1 ? pinned.jobs : [];
       this.#showJobs([...new Map([...above, ...others.jobs].map((job) => [job.id, job])).values()]);
       this.#showRange(pinned, others);

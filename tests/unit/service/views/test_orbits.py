@@ -131,6 +131,7 @@ def test_a_threshold_is_that_of_the_contact(
     ({"model": "rigid", "penetration": 0.01}, "penetration: is not a field here"),
     ({"model": "soft", "restitution": 1}, "restitution: must be below 1, not 1"),
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
+    ({"model": "soft", "flight_start": 0.0}, "flight_start: is of the closed form"),
     ({"doubled": True}, "doubled: needs a model"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
 ])  # fmt: skip
