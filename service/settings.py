@@ -141,7 +141,7 @@ class Settings(BaseSettings):
     max_bytes: Count = Field(DEFAULT_MAX_BYTES, description="Bytes of one sweep's arrays before compression.")
     max_core_seconds: Positive = Field(
         DEFAULT_MAX_CORE_SECONDS,
-        description="Core-seconds of one study, by the upper end of the table's estimate.",
+        description="Core-seconds of one study, by the cost table's upper estimate.",
     )
     max_queue: Count = Field(1_000, description="Unfinished jobs.")
     max_queue_per_token: Count = Field(500, description="Unfinished jobs of one named token.")
