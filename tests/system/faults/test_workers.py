@@ -40,7 +40,6 @@ def fragile() -> Iterator[Dask]:
 BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
 
 
-@pytest.mark.essential
 def test_workers_killed_at_random_cost_only_what_was_in_flight(tmp_path: Path, fragile: Dask, inline: Inline):
     chance = random.Random(2)
     with running(tmp_path / "calm", inline) as service:

@@ -962,7 +962,6 @@ def test_a_study_of_cycles_opens_on_its_branches_and_one_of_them_moves(browser: 
 # Speed
 
 
-@pytest.mark.essential
 def test_the_page_lists_sweeps_and_plays_a_trajectory(browser: Any, address: str, loop: str):
     with opened(browser, address) as page:
         page.locator(".jobs li").first.wait_for()

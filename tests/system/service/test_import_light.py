@@ -66,6 +66,16 @@ def test_showing_help_loads_no_library_but_clicks():
     assert loaded_by(code) & (SERVER | COMPUTING | SLOW | {"httpx2"}) == set()
 
 
+def test_what_proves_is_loaded_by_proofs_only():
+    answers = (
+        "from service.views.registry import SPRINGS\n"
+        "for view in ('threshold', 'orbits'):\n"
+        "    SPRINGS[view].compute(None, SPRINGS[view].query(omega=0.6, xi=0.05))\n"
+        "import sys; assert not [name for name in sys.modules if name.startswith('kernel.proofs')]"
+    )
+    assert "flint" not in loaded_by(answers)
+
+
 @pytest.mark.parametrize("name", ["service.py", "worker/__init__.py", "kernel/notes.txt"])
 def test_a_package_of_the_same_name_is_said_in_one_line(name: str, tmp_path: Path):
     file = tmp_path / name

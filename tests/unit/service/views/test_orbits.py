@@ -17,7 +17,7 @@ from tables import for_each
 
 from kernel.cycles.thresholds import closed_form
 from service.client import Client
-from service.pictures import AXES, draw_thresholds
+from service.pictures import AXES
 from service.views import threshold
 from service.views.registry import SPRINGS
 from service.views.springs import curves as curves_view
@@ -297,21 +297,6 @@ def test_a_ramp_that_begins_below_the_jump_follows_the_cycle_that_shrinks_to_res
     assert str(found.difference.values[0]).startswith("the ramp begins below the jump at 1.068")
 
 
-def test_a_grid_of_springs_is_searched(python_client: Client):
-    """Each spring as alone. At 0.46 and 0.05 it is a torus, at 0.5395 and 0.032 a cycle below the rule."""
-    how: dict[str, Any] = {"search": True, "effort": 0, "progress": False}
-    grid = python_client.thresholds("0.46:0.5395:2", "0.032,0.05", **how)
-    assert (grid.down.dims, grid.down.shape) == (("xi", "omega"), (2, 2))
-    assert grid.cause.values[0, 1] == "fold of word ss (2,2)"
-    assert float(grid.down[0, 1]) == pytest.approx(0.8051293821, abs=1e-9)
-    assert grid.cause.values[1].tolist() == ["a torus around (1,1), locked 2/33", "fold (1,1)"]
-    assert set(grid.status.values.flat) == {"searched"}
-    assert np.unique(grid.missed) == [pytest.approx(0.0295, abs=1e-4)]
-    alone = python_client.threshold(0.46, 0.05, **how)
-    for name in grid.data_vars:
-        assert str(grid[name].values[1, 0]) == str(alone[name].values)
-
-
 def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(python_client: Client):
     one, few, many = Figure(), Figure(), Figure()
     lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
@@ -338,31 +323,6 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
 ])  # fmt: skip
 def test_grids_of_springs_are_checked(client: TestClient, query: dict[str, Any], rule: str):
     assert rule in refused(client, "/v1/thresholds", 422, **{"omega": "0.6", "xi": "0.05"} | query)
-
-
-def test_a_damping_that_was_not_searched_is_said_to_be(python_client: Client):
-    """In the answer of a spring, and in the picture and the answer of a sweep, with cells too."""
-    spring = python_client.threshold(0.52, 0.02)
-    assert spring.cause.item() == "not searched"
-    assert np.isnan([spring.down, spring.lifetime, spring.impact]).all()
-    assert "from xi = 0.04 on" in spring.reason.item()
-    assert "Eq. 25, Gamma = 0.843762" in spring.reason.item()
-    weak = RAMP | {"gamma": [0.7, 0.9], "omega": 0.52, "xi": 0.02}
-    job = python_client.submit(weak).wait(progress=False)
-    for predict in ("some", "all", "cells"):
-        found = job.threshold(predict=predict, progress=False)
-        assert found.cause.values.tolist() == ["not searched"]
-        assert np.isnan(found.predicted_down.values).all()
-    ax = Figure().subplots()
-    draw_thresholds(ax, found)
-    assert "closed form, not searched: 1 of 1" in [str(line.get_label()) for line in ax.lines]
-    found = job.threshold(predict="search", progress=False)
-    assert found.cause.values.tolist() == ["fold of word zsss (4,3), searched"]
-    assert found.predicted_down.values == pytest.approx(0.7925441522, abs=1e-9)
-    ax = Figure().subplots()
-    draw_thresholds(ax, found)
-    (marks,) = (line for line in ax.lines if line.get_label() == "searched, down")
-    assert list(marks.get_ydata()) == found.predicted_down.values.tolist()
 
 
 def test_cycles_of_a_sweeps_cells_answer_where_the_branches_do_not(
