@@ -33,6 +33,7 @@ from toy_view import add_stored_variable
 
 from service.background import InThisProcess
 from service.cli.main import main
+from service.client import Client
 from service.server import embedded
 
 pytestmark = needs_chromium
@@ -333,6 +334,22 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         row.get_by_role("button", name="Delete").click()
         row.wait_for(state="detached")
         page.wait_for_function("() => document.activeElement.id === 'sweeps'")
+
+
+def test_the_page_of_a_sweep_shows_what_is_done_to_it_elsewhere(browser: Any, address: str):
+    endless = {**LOOP, "name": "Elsewhere", "settle": 1_000_000, "protocol": {"kind": "rest"}}
+    job = submitted(address, endless)
+    with opened(browser, view(address, job), expected=("404",)) as page, Client(address) as client:
+        shown = client.job(job)
+        for change, state in (
+            (shown.cancel, "cancelled"),
+            (shown.resume, "running"),
+            (shown.cancel, "cancelled"),
+        ):
+            change()
+            page.locator(f"#bar [data-state={state}]").wait_for()
+        shown.delete()
+        page.get_by_role("heading", name="No such sweep").wait_for()
 
 
 def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_path: Path):

@@ -234,6 +234,9 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
             page.get_by_role("button", name="Download CSV").nth(1).click()
         table = pandas.read_csv(download.value.path())
         assert set(table.xi) == {0.1}
+        page.go_back()
+        page.get_by_role("button", name="Show everything").first.wait_for(state="hidden")
+        assert plots.count() == 3
 
 
 def test_a_comparison_says_what_only_some_of_its_sweeps_have(browser: Any, address: str, jobs: list[str]):

@@ -55,6 +55,11 @@ export class Compare {
     this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
     this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(numberedColour(number, theme().dark),
       h("a", { href: link(["job", job.id]) }, titleOf(job)), h("p", { className: "summary" }, summary(job)))));
+    this.show();
+  }
+
+  show() {
+    if (!this.sources) return; // refresh() shows it
     const { layout } = currentQuery();
     const layouts = Object.entries(LAYOUTS).filter(([name]) => name !== "maps" || this.mapped.length > 1);
     const initial = layouts.some(([name]) => name === layout) ? layout : "overlay";

@@ -62,8 +62,8 @@ function listenToPointers(plot, handlers) {
   listen(plot, "pointerdown", (event) => {
     clearTimeout(selecting);
     pressed.set(event.pointerId, position(event));
-    if (event.button !== 0 || !isInside(position(event))) return;
-    drag = pressed.size > 1 ? null : { start: position(event) };
+    if (pressed.size > 1) drag = null; // also where the second one is beside the frame
+    else if (event.button === 0 && isInside(position(event))) drag = { start: position(event) };
   });
   element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false }); // no scrolling
   listen(plot, "pointermove", (event) => {

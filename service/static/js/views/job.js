@@ -26,6 +26,7 @@ const SHARED = [...AXES, "cell", "min", "hide"]; // query parameters that all ta
 const MAPPED_FROM = 8; // values of Ω: a sweep of as many opens on its map
 const WIDE = matchMedia("(min-width: 100rem)"); // beside the map there is room for a diagram
 const POLL_MS = 1000;
+const IDLE_POLL_MS = 5000; // somebody else may resume, rename or delete it
 const ERROR_POLL_MS = 3000;
 
 export class JobView {
@@ -71,7 +72,7 @@ export class JobView {
     else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(this.job));
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
     if (this.#follows(job)) return;
-    if (isGoing(job)) this.#pollAfter(POLL_MS);
+    if (!shared) this.#pollAfter(isGoing(job) ? POLL_MS : IDLE_POLL_MS);
   }
 
   /** While a budget goes on, the finest level that is done takes the place of this one. Returns whether it does. */

@@ -59,6 +59,7 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
+  log = currentQuery().log; // the logarithmic axes: until it is drawn, those of the address
   isThinned = false; // whether all of it is more than the service sends
 
   /** `signal` aborts when the view is left. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside
@@ -121,7 +122,7 @@ export class PlotView {
     this.bar?.replaceChildren(controls);
     const figure = h("figure", {});
     this.unzoom = button("Show everything", () => this.#zoom(null), { hidden: !this.window });
-    this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => this.#toggleLog(axis), { hidden: !this.windowed, title: `Logarithmic ${axis} axis` }));
+    this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => this.#toggleLog(axis), { hidden: !this.windowed, disabled: true, title: `Logarithmic ${axis} axis` }));
     const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
@@ -171,7 +172,7 @@ export class PlotView {
     const { log } = currentQuery();
     this.log = (this.windowed && log) || `${x.log ? "x" : ""}${y.log ? "y" : ""}` || "none"; // for the service too
     const [isX, isY] = ["x", "y"].map((axis) => this.log.includes(axis));
-    this.logButtons.forEach((button, i) => button.setAttribute("aria-pressed", String([isX, isY][i])));
+    this.logButtons.forEach((button, i) => Object.assign(button, { ariaPressed: String([isX, isY][i]), disabled: false }));
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
