@@ -352,6 +352,18 @@ def test_the_page_of_a_sweep_shows_what_is_done_to_it_elsewhere(browser: Any, ad
         page.get_by_role("heading", name="No such sweep").wait_for()
 
 
+def test_a_comparison_follows_what_is_computed(browser: Any, tmp_path: Path):
+    held = Held()
+    with service_at(tmp_path, held) as address:
+        jobs = [submitted(address, spec_of((1.2, 3.0, 20), 0.5, xi, name=str(xi))) for xi in (0.1, 0.2)]
+        with opened(browser, f"{address}/#/compare?jobs={','.join(jobs)}") as page:
+            page.locator(".compared li", has_text="running, 0 % of 20 cells").first.wait_for()
+            page.locator(".panel .plot[data-shown*='\"complete\":false']").wait_for()
+            done = page.locator(".panel .plot[data-shown*='\"complete\":true']")
+            held.let_go_until(lambda: done.count() == 1)
+            page.locator(".compared li", has_text="running").wait_for(state="detached")
+
+
 def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_path: Path):
     with (
         closing(Scripted({0: [ValueError("no such spring")] * 3})) as executor,
@@ -937,7 +949,7 @@ def test_on_paper_nothing_is_cut_off_or_covered(browser: Any, address: str, loop
         plot, canvas = page.locator(".panel .plot"), page.locator(".panel .plot canvas").first
         canvas.evaluate("canvas => { canvas.style.height = '2000px'; }")  # of a drawing for the screen
         assert canvas.bounding_box() == plot.bounding_box()
-        assert page.locator(".panel .downloads").first.is_hidden()
+        assert all(page.locator(f".panel .{name}").first.is_hidden() for name in ("downloads", "cursor"))
         open_tab(page, "Details")
         shown, clipped = page.locator("pre").first.evaluate(height)
         assert shown == clipped

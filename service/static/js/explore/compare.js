@@ -10,9 +10,11 @@ import { Diagram } from "../views/diagram.js";
 import { buildFrame } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
 import { sourceOf } from "../views/plot-view.js";
-import { MOST_COMPARED, summary, titleOf } from "../views/progress.js";
+import { MOST_COMPARED, amount, isGoing, summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 
+const POLL_MS = 1000;
+const ERROR_POLL_MS = 3000;
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };
 const ON_MAPS = { __proto__: null, maps: Modes, difference: Difference };
 
@@ -31,8 +33,9 @@ export class Compare {
     this.refresh();
   }
 
-  async refresh() {
-    if (this.sources) return this.views.forEach((view) => view.load());
+  /** Again each second while cells are computed. */
+  async refresh(redraw = true) {
+    clearTimeout(this.timer);
     try {
       if (this.ids.length < 2) throw new Error("Select two sweeps or more in the list of sweeps, and press Compare.");
       if (this.ids.length > MOST_COMPARED) throw new Error(`At most ${MOST_COMPARED} sweeps can be compared; ${this.ids.length} were selected.`);
@@ -41,9 +44,12 @@ export class Compare {
       const others = jobs.filter((job) => !sweeps.includes(job)).map(titleOf).join(", ");
       if (sweeps.length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
       this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
-      this.#start(sweeps);
+      if (!this.sources) this.#start(sweeps);
+      else this.#update(sweeps, redraw);
+      if (sweeps.some(isGoing) && !this.signal.aborted) this.timer = setTimeout(() => this.refresh(false), POLL_MS);
     } catch (error) {
       this.problem.show(error);
+      if (error.status >= 500) this.timer = setTimeout(() => this.refresh(false), ERROR_POLL_MS);
     }
   }
 
@@ -53,9 +59,21 @@ export class Compare {
     // The values that any of the sweeps has; each is shown at its own nearest one.
     const merged = (lists) => lists.flat().sort((a, b) => a - b).filter((value, i, all) => !i || !isClose(value, all[i - 1]));
     this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
-    this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(numberedColour(number, theme().dark),
-      h("a", { href: link(["job", job.id]) }, titleOf(job)), h("p", { className: "summary" }, summary(job)))));
+    this.#describe();
     this.show();
+  }
+
+  #update(jobs, redraw) {
+    const hasChanged = this.sources.some(({ job }, i) => job.progress.cells_done !== jobs[i].progress.cells_done || job.state !== jobs[i].state);
+    this.sources.forEach(({ job }, i) => Object.assign(job, jobs[i])); // the views have them too
+    this.#describe();
+    if (hasChanged || redraw) this.views.forEach((view) => view.update(view.job));
+  }
+
+  #describe() {
+    this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(numberedColour(number, theme().dark),
+      h("a", { href: link(["job", job.id]) }, titleOf(job)),
+      h("p", { className: "summary" }, summary(job), job.state === "done" ? null : ` · ${job.state}, ${amount(job)}`))));
   }
 
   show() {

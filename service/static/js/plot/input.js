@@ -65,7 +65,7 @@ function listenToPointers(plot, handlers) {
     if (pressed.size > 1) drag = null; // also where the second one is beside the frame
     else if (event.button === 0 && isInside(position(event))) drag = { start: position(event) };
   });
-  element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.preventDefault(), { passive: false }); // no scrolling
+  element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.cancelable && event.preventDefault(), { passive: false }); // no scrolling
   listen(plot, "pointermove", (event) => {
     const point = position(event);
     if (pressed.size === 2 && pressed.has(event.pointerId)) {

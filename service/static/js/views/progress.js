@@ -38,7 +38,7 @@ export class JobSummary {
     this.progress.dataset.state = state;
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
-    this.amount.textContent = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(state, progress);
+    this.amount.textContent = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(job);
     const notices = [...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : [])];
     this.notice.hidden = !notices.length;
     this.notice.replaceChildren(...notices);
@@ -46,7 +46,8 @@ export class JobSummary {
   }
 }
 
-function amount(state, { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta }) {
+/** How much of a job is computed, in words. */
+export function amount({ state, progress: { cells_done: done, cells_total: total, cells_computed: computed, cells_needed: needed, percent, eta_seconds: eta } }) {
   const isAdaptive = (computed ?? null) !== null;
   if (state === "done") return isAdaptive ? `${plural(total, "cell")}, ${count(computed)} computed` : plural(total, "cell");
   const known = isAdaptive ? `, ${count(computed)} of at least ${count(needed)} computed` : "";
