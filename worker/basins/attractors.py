@@ -52,9 +52,13 @@ EXPONENT_WINDOW: Final = 1000
 SAME_DISTRIBUTION: Final = 0.05
 HALVES: Final = 1.5
 
-#: A cycle of this many flights or more belongs to an aperiodic attractor with the same distribution: a torus
-#: that almost closes after that many flights looks like the cycle for longer than a window.
+#: A cycle of this many flights or more that is not certified belongs to an aperiodic attractor with the same
+#: distribution: a torus that almost closes after that many flights looks like the cycle for longer than a
+#: window.
 LONG_CYCLE: Final = 20
+
+#: So many starts are expected to leave transient motion, and none does: it is none.
+EXPECTED: Final = 5.0
 
 #: Transient motion is followed down to this share of all starts, if that takes at most this many times the
 #: periods of all starts up to `until`.
@@ -76,6 +80,7 @@ class Request(NamedTuple):
     observe: int
     keep: int
     exponents: int = 0
+    certify: bool = False
 
 
 #: Answers a request with the arrays that a function returns for its record.
@@ -171,6 +176,8 @@ class _Search:
             self._advance(goes_on, self._ends.state[goes_on], added - observe, observe)
             taken += added
             still_undecided = self._assign_cycles(goes_on, taken, observe)
+            if len(still_undecided) == len(goes_on) and rate * added * len(goes_on) > EXPECTED:
+                rate = 0.0  # what left before had only been slow to settle
             undecided = np.union1d(np.setdiff1d(undecided, goes_on), still_undecided)
         self._assign_aperiodic(undecided, taken, rate)
         return self._numbered()
@@ -304,8 +311,14 @@ class _Search:
             if known.bounces < LONG_CYCLE:
                 continue
             apart = [ks_distance(known.flights, self._attractors[other].flights) for other in numbers]
-            if min(apart) <= SAME_DISTRIBUTION:
+            if min(apart) <= SAME_DISTRIBUTION and not self._is_certified(known):
                 self._owner[self._owner == number] = numbers[int(np.argmin(apart))]
+
+    def _is_certified(self, cycle: Attractor) -> bool:
+        if not self._spec.model.certifies:
+            return False
+        request = Request(cycle.state[None], 0, LONG_WINDOW, CYCLE_FLIGHTS, certify=True)
+        return bool(np.isfinite(self._record(request).flight_error[0]))
 
     def _flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         return self._ends.time[which], self._ends.phase[which]
