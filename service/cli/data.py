@@ -4,9 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
-from service.cli.options import data_option, names_url, url_option
-from service.tokens import DEFAULT_URL, find_service
+from service.cli.options import data_option, url_option
+from service.tokens import find_service
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -107,10 +108,11 @@ def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
     if job is not None and not verify:
         raise click.UsageError("JOB needs --verify")
     settings = _settings(data)
-    if data is not None and not names_url():
-        url = find_service(settings.data) or DEFAULT_URL
+    source = click.get_current_context().get_parameter_source("url")
+    is_of_folder = data is not None and source is ParameterSource.DEFAULT
+    address = find_service(settings.data) if is_of_folder else url
     all_ok = True
-    for finding in checks.verify(settings, job) if verify else checks.examine(settings, url):
+    for finding in checks.verify(settings, job) if verify else checks.examine(settings, address):
         click.echo(f"{'ok' if finding.ok else '!!':<4}{finding.subject:<18}{finding.text}")
         all_ok = all_ok and finding.ok
     if not all_ok:

@@ -36,11 +36,12 @@ class Finding(NamedTuple):
     ok: bool = True
 
 
-def examine(settings: Settings, url: str) -> list[Finding]:
-    """All findings; a check that fails is a finding, too."""
+def examine(settings: Settings, url: str | None) -> list[Finding]:
+    """All findings; a check that fails is a finding, too. url: of the service, None without one."""
     parts: tuple[Callable[[Settings], Iterator[Finding]], ...] = (_machine, _cache, _disk, _ledger, _stores)
     findings = [finding for part in parts for finding in _contained(part, settings)]
-    return [*findings, _service(url)]
+    none = Finding("service", f"none on {settings.data}")
+    return [*findings, _service(url) if url else none]
 
 
 def _contained(part: Callable[[Settings], Iterator[Finding]], settings: Settings) -> list[Finding]:
@@ -74,7 +75,10 @@ def _disk(settings: Settings) -> Iterator[Finding]:
         existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
         free = shutil.disk_usage(existing).free
         text = f"{folder}: {free / 1e9:.1f} GB free ({file_system(existing)})"
-        yield Finding("disk", text, free >= FREE_BYTES)
+        if os.access(existing, os.W_OK):
+            yield Finding("disk", text, free >= FREE_BYTES)
+        else:
+            yield Finding("disk", f"{text}, cannot be written", ok=False)
     if network := network_file_system(settings.data):
         text = f"{settings.data} is on a network file system ({network}): {NOT_LOCAL}"
         yield Finding("disk", text, ok=False)

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from disks import fill, mounted, read_only, use_up_inodes
 from scripted import Held, sweep, wait_for
-from served import FIGURE_2, running, service
+from served import FIGURE_2, running, service, settings_of
 
 from kernel.params import Outcome
+from service.cli.doctor import examine
 from service.ledger.model import JobState
 from service.views import exports
 from worker.executors.dask import Dask
@@ -105,6 +106,8 @@ def test_nothing_is_accepted_while_a_disk_is_read_only(tmp_path: Path, folder: s
         with read_only(tmp_path / folder):
             wait_for(lambda: client.get("/readyz").status_code == 503)
             held.let_go()
+            found = examine(settings_of(tmp_path / "data", stores=str(tmp_path / "stores")), None)
+            assert "disk" in {finding.subject for finding in found if not finding.ok}
             for answer in (client.get("/readyz"), client.post("/v1/jobs", json={**FIGURE_2, "omega": 0.6})):
                 assert (answer.status_code, answer.json()["detail"]) == (503, reason)
             assert [client.get(path).json()["notice"] for path in (here, "/v1/jobs")] == [reason, reason]

@@ -217,6 +217,7 @@ def test_the_doctor_names_what_needs_attention(folder: Path):
     assert f"none at {url} ([" in answer.output
     assert "!!" not in answer.output
     assert "copies beside it" not in answer.output
+    assert f"service           none on {data}" in bounce("doctor", "--data", str(data)).output
     lost = next((data / "stores").glob("*.zarr"))
     lost.rename(folder / lost.name)
     answer = bounce("doctor", "--data", str(data), "--url", url)
