@@ -358,14 +358,14 @@ def start_of(cell: Cell, periods: int) -> Start | None:
 
 
 def no_cycle(cell: Cell, periods: int) -> str:
-    """The rule that a cell without a stable cycle breaks, with the nearest range of Gamma that has one."""
+    """The rule that a cell without a stable cycle breaks, with the ranges of Gamma that have one."""
     where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
     rule = f"there is no stable cycle (1, {periods}) at {where}"
     try:
-        ranges = stable_ranges(cell.omega, cell.xi, periods)
+        ranges = sorted(stable_ranges(cell.omega, cell.xi, periods))
     except KernelInputError as error:
         return f"{rule} ({error})"
     if not ranges:
         return f"{rule}, nor at any other gamma"
-    low, high = min(ranges, key=lambda r: max(r.low - cell.gamma, cell.gamma - r.high))
-    return f"{rule}; it exists from gamma {low:.6g} to {high:.6g}"
+    known = " and ".join(f"{low:.6g} to {high:.6g}" for low, high in ranges)
+    return f"{rule}; there is one from gamma {known}"

@@ -197,8 +197,8 @@ def test_any_accepted_range_increases(one, two, num, spacing):
         ({"protocol": ramp(start=5)}, "protocol.start: must be a group of fields, not 5"),
         (
             {"omega": [0.6, 0.7]},
-            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; it exists "
-            "from gamma 0.669",
+            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; there is "
+            "one from gamma 0.669",
         ),
         ({"model": {"kind": "ball"}}, "protocol.start: needs a spring, and model.kind is 'ball'; "),
         ({"omega": range_(0.5, 1.0, 1001)}, "protocol.start: is possible for at most 1,000 lines, and "),
