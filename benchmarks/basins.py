@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measuring import describe, options, short, table
+from kernel.line import run_line
 from kernel.params import Line, Outcome
 from service.views.multistability import MultistabilityQuery, compute
 from service.views.selection import Stored
@@ -33,10 +34,11 @@ from worker import store
 from worker.basins.attractors import Found, counted, find
 from worker.basins.multistability import run_chunk as compute_lines
 from worker.basins.specification import BasinSpec, MultistabilitySpec
-from worker.basins.starts import line_run, starts_of
+from worker.basins.starts import starts_of
 from worker.basins.task import run_chunk
 from worker.studies import STUDIES
 from worker.sweep import AXES
+from worker.work import plate_of
 
 #: Of `time`: cells with a smooth and with a fractal boundary, with a chaotic attractor and with slow cycles.
 TIMED: Final = (
@@ -85,21 +87,20 @@ def _cell(spec: BasinSpec) -> tuple[float, float, float]:
 
 def run(spec: BasinSpec, states: NDArray[np.float64], settle: int, observe: int, keep: int) -> Line:
     """The starts `states` of the cell of `spec`, followed."""
-    cells = tuple(np.full(len(states), value) for value in _cell(spec))
-    run = line_run(spec, cells, np.ascontiguousarray(states), settle=settle, observe=observe, keep=keep)
-    run.advance()
-    return run.line
+    return _followed(spec, states=np.ascontiguousarray(states), settle=settle, observe=observe, keep=keep)
+
+
+def _followed(spec: BasinSpec, states: NDArray[np.float64], **window: Any) -> Line:
+    cells = [np.full(len(states), value) for value in _cell(spec)]
+    plate = plate_of(spec.model, *cells)
+    return run_line(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, states=states, **window)
 
 
 def search(spec: BasinSpec) -> Found:
     """The attractors of the cell, as a task finds them."""
 
     def answer(request: Any, reduce: Any) -> Any:
-        cells = tuple(np.full(len(request.states), value) for value in _cell(spec))
-        window = request._asdict()
-        run = line_run(spec, cells, window.pop("states"), **window)
-        run.advance()
-        return reduce(run.line)
+        return reduce(_followed(spec, **request._asdict()))
 
     return find(starts_of(spec, *_cell(spec)), spec, answer)
 

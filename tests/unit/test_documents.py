@@ -1,11 +1,12 @@
 """The documents: what they list is what the code has, and what they name is there."""
 
+import importlib
 import inspect
 import json
 import re
 import subprocess
 import tomllib
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -127,6 +128,9 @@ def test_every_benchmark_is_in_the_index():
     index = (ROOT / "benchmarks" / "README.md").read_text()
     programs = [path for path in (ROOT / "benchmarks").glob("*.py") if "def main" in path.read_text()]
     assert set(re.findall(r"-m benchmarks\.(\w+)", index)) == {path.stem for path in programs}
+    for path in programs:
+        with suppress(ModuleNotFoundError):  # of a rival
+            importlib.import_module(f"benchmarks.{path.stem}")
 
 
 def test_every_document_is_linked_from_the_readme():

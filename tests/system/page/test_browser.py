@@ -802,10 +802,9 @@ def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_u
         assert 5e-7 < _width(page) < 2e-6
         page.get_by_role("button", name="Show everything").click()
         page.get_by_text("Table of what is shown").click()
-        rows = page.locator(".paged tbody tr")
-        wait_for(lambda: rows.count() == len(gamma))
-        texts = [row.split("\t") for row in rows.all_inner_texts()]
-        assert [text for text, *_ in texts][:3] == ["1.23456", "1.234561", "1.234562"]
+        names = page.locator(".paged tbody th")
+        wait_for(lambda: names.count() == len(gamma))
+        assert names.all_inner_texts()[:3] == ["1.23456", "1.234561", "1.234562"]
         with page.expect_download() as download:
             page.get_by_role("button", name="Download table as CSV").click()
         with Path(download.value.path()).open(newline="") as file:
