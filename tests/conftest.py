@@ -79,9 +79,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             (chosen if runs else others).append(item)
         items[:] = chosen
         config.hook.pytest_deselected(items=others)
-        # Modules are handed out in this order: those of the system, which take longest, then by size.
+        # Modules are handed out in this order: by size, so that those of the system find compiled kernels.
         tests = Counter(item.path for item in items)
-        items.sort(key=lambda item: (not is_test_of_the_system(item.path), -tests[item.path]))
+        items.sort(key=lambda item: -tests[item.path])
 
 
 def pytest_collection_finish() -> None:
