@@ -59,21 +59,22 @@ export class Compare {
     // The values that any of the sweeps has; each is shown at its own nearest one.
     const merged = (lists) => lists.flat().sort((a, b) => a - b).filter((value, i, all) => !i || !isClose(value, all[i - 1]));
     this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
-    this.#describe();
+    this.legend.replaceChildren(...this.sources.map((source) => legendEntry(numberedColour(source.number, theme().dark),
+      h("a", { href: link(["job", source.job.id]) }, titleOf(source.job)),
+      h("p", { className: "summary" }, summary(source.job), (source.state = h("span", {}))))));
+    this.#showStates();
     this.show();
   }
 
   #update(jobs, redraw) {
     const hasChanged = this.sources.some(({ job }, i) => job.progress.cells_done !== jobs[i].progress.cells_done || job.state !== jobs[i].state);
     this.sources.forEach(({ job }, i) => Object.assign(job, jobs[i])); // the views have them too
-    this.#describe();
+    this.#showStates();
     if (hasChanged || redraw) this.views.forEach((view) => view.update(view.job));
   }
 
-  #describe() {
-    this.legend.replaceChildren(...this.sources.map(({ job, number }) => legendEntry(numberedColour(number, theme().dark),
-      h("a", { href: link(["job", job.id]) }, titleOf(job)),
-      h("p", { className: "summary" }, summary(job), job.state === "done" ? null : ` · ${job.state}, ${amount(job)}`))));
+  #showStates() {
+    for (const { job, state } of this.sources) state.textContent = job.state === "done" ? "" : ` · ${job.state}, ${amount(job)}`;
   }
 
   show() {

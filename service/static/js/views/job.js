@@ -66,8 +66,9 @@ export class JobView {
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
     if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
+    const isSame = JSON.stringify(job) === JSON.stringify(this.job);
     this.job = Object.assign(this.job ?? {}, job); // the views have it too
-    this.#describe();
+    if (!isSame || redraw) this.#describe(); // else the problem of an action stays
     if (isFirst) this.show();
     else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(this.job));
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
