@@ -103,7 +103,7 @@ export class Compare {
     this.controls.replaceChildren();
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid: this.grid, isFollower: i > 0,
+      sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid: layout === "difference" ? this.sources[0].grid : this.grid, isFollower: i > 0,
       prefix: isSide ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
