@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measuring import describe, options, table
-from kernel.params import Line as Record
-from kernel.params import Outcome
+from kernel.params import Line, Outcome
 from service.local import computed
 from service.presets import FIGURES as PRESETS
 from service.views import audit
 from service.views.encode import picture
 from service.views.selection import Stored
 from worker.analysis.audit import PARTS, SETS, SIZES, look
-from worker.analysis.model_selection import CELLS, Line, ModelChoice, chosen, compared, timed
+from worker.analysis.model_selection import CELLS, ModelChoice, chosen, compared, timed
+from worker.spec.time_steps import Cells
 from worker.sweep import SweepSpec
 from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.specification import EFFORTS
@@ -229,7 +229,7 @@ def auto(draws: int) -> str:
     rows = []
     for spec in choices():
         xi, omega, gamma = np.meshgrid(*(spec.axis_values(axis) for axis in spec.AXES), indexing="ij")
-        everywhere = [Line(gamma.ravel(), omega.ravel(), xi.ravel())]
+        everywhere = [Cells(gamma.ravel(), omega.ravel(), xi.ravel())]
         models, outcome = compared(spec, everywhere)
         truth = _shares(chosen(spec, models, outcome))
         kinds, held, random = dict.fromkeys(models, 0), dict.fromkeys(models, 0), np.random.default_rng(4)
@@ -280,23 +280,23 @@ def efforts() -> str:
     return table(["sweep", *(f"{name}{what}" for name in EFFORTS for what in ("", ", µs"))], rows)
 
 
-def _lines(spec: SweepSpec) -> list[Line]:
+def _lines(spec: SweepSpec) -> list[Cells]:
     """Random cells of a sweep from rest, or lines of a ramp in their order."""
     axis, random = spec.ramp_axis, np.random.default_rng(5)
     values = {name: spec.axis_values(name) for name in spec.AXES}
     if axis is None:
         chosen = {name: random.choice(along, EFFORT_CELLS) for name, along in values.items()}
-        return [Line(**chosen)]
+        return [Cells(**chosen)]
     runs = {"up": values[axis], "down": values[axis][::-1]}
     along = np.concatenate([runs[direction] for direction in spec.directions])
     others = [
         {name: np.full(len(along), random.choice(each)) for name, each in values.items()}
         for _ in range(EFFORT_LINES)
     ]
-    return [Line(**other | {axis: along}) for other in others]
+    return [Cells(**other | {axis: along}) for other in others]
 
 
-def _another(record: Record, true: Record) -> NDArray[np.bool_]:
+def _another(record: Line, true: Line) -> NDArray[np.bool_]:
     """Which cells have another outcome or mode."""
     return np.any([getattr(record, name) != getattr(true, name) for name in MODE_ARRAYS], axis=0)
 

@@ -298,7 +298,7 @@ def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, to
 
 def _between(answer: _Answer) -> str:
     """The bounds of a share in percent."""
-    low, high = (f"{100.0 * share:.2g}" for share in (answer.low, answer.high))
+    low, high = (f"{100.0 * share:.{2 if share < 0.995 else 3}g}" for share in (answer.low, answer.high))
     if low == high:
         return f"{high} %"
     return f"at most {high} %" if answer.low == 0.0 else f"{low} to {high} %"
