@@ -1,6 +1,7 @@
 """The entry point: a client of one service, which submits sweeps and returns jobs."""
 
 import math
+import os
 import re
 import time
 from collections import deque
@@ -55,8 +56,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         Address of the service; by default BOUNCE_URL, else that of the user's own service, which runs on the
         data folder BOUNCE_DATA, by default ./bounce-data, else http://127.0.0.1:8000.
     token
-        Access token, required unless the service listens on loopback only; by default the one that the user's
-        own service has created (`bounce serve --token auto`).
+        Access token, required unless the service listens on loopback only; by default BOUNCE_TOKEN, else the
+        one that the user's own service has created (`bounce serve --token auto`).
     timeout
         Time limit of one request in seconds.
     http
@@ -74,6 +75,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     ) -> None:
         if timeout is None or not timeout > 0.0:
             raise BounceError(f"timeout: must be seconds above 0, not {timeout}")
+        token = os.environ.get("BOUNCE_TOKEN") if token is None else token
         self._transport = Transport(default_url() if url is None else url, token, timeout, http)
 
     @property

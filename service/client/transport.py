@@ -1,6 +1,7 @@
 """HTTP requests to one service: retries safe requests, turns problem documents into exceptions."""
 
 import json
+import os
 import re
 import ssl
 import time
@@ -107,10 +108,25 @@ class Transport:
         self.token = token
         if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
-        self._http = http or self._connections()
-        self.close: Callable[[], object] = (
-            weakref.finalize(self, self._http.close) if http is None else lambda: None
-        )
+        self._http, self._is_own = http or self._connections(), http is None
+        self.close: Callable[[], object] = lambda: None
+        if self._is_own:
+            self._note_process()
+
+    def _note_process(self) -> None:
+        self._process, self.close = os.getpid(), weakref.finalize(self, self._http.close)
+
+    def _send(self, request: httpx2.Request) -> httpx2.Response:
+        """The response, its body not yet read.
+
+        A forked process opens connections of its own: on shared ones each would read the other's answers.
+        """
+        if self._is_own and self._process != os.getpid():
+            self._http = self._connections()
+            self._note_process()
+        if self._http.is_closed:
+            raise BounceError("the client is closed")
+        return self._http.send(request, stream=True)
 
     def _connections(self) -> httpx2.Client:
         own_loopback = is_loopback(httpx2.URL(self.url).host)
@@ -217,7 +233,7 @@ class Transport:
         timeout = httpx2.Timeout(seconds, connect=CONNECT_SECONDS)
         request = self._built("GET", path, query, None, timeout=timeout)
         try:
-            with closing(self._http.send(request, stream=True)) as response:
+            with closing(self._send(request)) as response:
                 yield _checked(response if response.is_success else _whole(response))
         except httpx2.RequestError as error:
             raise self._failure(error, seconds) from None
@@ -234,7 +250,7 @@ class Transport:
         """The response with its body, requested again after each of `delays` while the connection breaks."""
         request = self._built(method, path, query, headers, content=body)
         try:
-            with closing(self._http.send(request, stream=True)) as response:
+            with closing(self._send(request)) as response:
                 return _checked(_whole(response))
         except httpx2.RequestError as error:
             if not (delays and isinstance(error, _CONNECTION_LOST)):
@@ -289,7 +305,10 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
     try:
         document = json_object(response)
     except UnexpectedAnswer:  # a proxy answers in HTML
-        document = {"detail": f"{request.url} answered {status} {response.reason_phrase}"}
+        answer = f"{status} {response.reason_phrase}"
+        if status in (HTTPStatus.BAD_GATEWAY, HTTPStatus.GATEWAY_TIMEOUT):  # as without the proxy
+            raise Unanswered(str(request.url), f"a proxy said {answer}: repeat the request") from None
+        document = {"detail": f"{request.url} answered {answer}"}
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
     problem = Problem.from_json(document, status=status, reason=response.reason_phrase)

@@ -229,6 +229,8 @@ def _answer(changed: Any, undecided: Any, population: int, weight: float = 1.0) 
 
 def _of_thresholds(table: _Table, thresholds: int) -> _Answer:
     """The answer for thresholds. Both cells of a threshold have the same unit."""
+    if not thresholds:
+        return _NOT_ASKED
     bouncing = np.isin(table["outcome"], BOUNCING) != np.isin(table["true_outcome"], BOUNCING)
     units = np.unique(table["unit"])
     changed, undecided = (
@@ -240,8 +242,9 @@ def _of_thresholds(table: _Table, thresholds: int) -> _Answer:
 
 def _of_area(table: _Table) -> _Answer:
     """The answer for points anywhere in the plane."""
-    population = ENDLESS if len(table["outcome"]) else 0
-    return _answer(_masks(table, 0.0)["mode"], table["undecided"], population)
+    if not len(table["outcome"]):
+        return _NOT_ASKED
+    return _answer(_masks(table, 0.0)["mode"], table["undecided"], ENDLESS)
 
 
 def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:

@@ -6,6 +6,8 @@ import json
 import os
 import pickle
 import socket
+import subprocess
+import sys
 import threading
 import traceback
 from collections.abc import Iterator
@@ -18,6 +20,7 @@ from typing import Any
 import pytest
 from answering import ID, LOST, Answer, scripted, view
 from scripted import DEADLINE, wait_for
+from served import FIGURE_2, computing_at
 from tables import for_each
 
 from service.client import (
@@ -118,11 +121,37 @@ def test_a_pickled_job_has_connections_of_its_own():
     wait_for(lambda: bool(gc.collect() >= 0 and connections.is_closed))  # nobody else closes them
 
 
-def test_the_token_goes_with_every_call():
-    with scripted(Answer(body=view())) as (server, client), Client(client.url, token="s3cret") as known:
-        known.job(ID)
-        assert server.requests[0][2]["Authorization"] == "Bearer s3cret"
-        assert "s3cret" not in repr(known)
+#: Four forked processes, each of which asks for a job of its own.
+FORKED = """
+import sys
+from multiprocessing import get_context
+from bouncing_spring import Client
+url, *ids = sys.argv[1:]
+client = Client(url)
+client.job(ids[0])
+def ask(id):
+    return [client.job(id).id for _ in range(25)] == [id] * 25
+with get_context("fork").Pool(len(ids)) as pool:
+    assert all(pool.map(ask, ids, chunksize=1))
+"""
+
+
+def test_forked_processes_have_connections_of_their_own(tmp_path: Path):
+    with computing_at(tmp_path) as url, Client(url) as client:
+        ids = [client.submit(FIGURE_2 | {"xi": xi}).id for xi in (0.1, 0.2, 0.3, 0.4)]
+        subprocess.run([sys.executable, "-c", FORKED, url, *ids], check=True, timeout=DEADLINE)
+
+
+def test_the_token_goes_with_every_call(monkeypatch: pytest.MonkeyPatch):
+    """One that is given, or that of the environment."""
+    for given in ({"token": "s3cret"}, {}):
+        monkeypatch.setenv("BOUNCE_TOKEN", "another" if given else "s3cret")
+        with scripted(Answer(body=view())) as (server, client), Client(client.url, **given) as known:
+            known.job(ID)
+            assert server.requests[0][2]["Authorization"] == "Bearer s3cret"
+            assert "s3cret" not in repr(known)
+        with pytest.raises(BounceError, match="the client is closed"):
+            known.job(ID)
 
 
 @pytest.mark.parametrize("word", ["schlüssel", "two words", "two\nlines"])
@@ -298,7 +327,7 @@ def test_an_unchanged_job_is_requested_by_its_etag():
 
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(transport, "ASK_DELAY", 0.01)
-    gone = [LOST] * 3 + [Answer(503, {"detail": "starting"})]
+    gone = [*[LOST] * 3, Answer(502, b"<html>from a proxy"), Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
 
