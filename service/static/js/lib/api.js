@@ -11,6 +11,7 @@ export const shared = JSON.parse(document.getElementById("shared")?.textContent 
 const TIMEOUT_MS = 30_000;
 const DOWNLOAD_TIMEOUT_MS = 600_000;
 const TOKEN_KEY = "bounce-token";
+export const hasToken = () => sessionStorage.getItem(TOKEN_KEY) !== null;
 export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token.replace(/[^!-~]/g, "?")); // headers hold no others
 
 /** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */

@@ -1,5 +1,6 @@
 // A specification as text to copy: a program in Python, a TOML file for the shell, a request with curl, JSON.
 
+import { hasToken } from "./api.js";
 import { choice, copyButton, h } from "./dom.js";
 import { AXES, isSweep } from "./physics.js";
 
@@ -39,7 +40,7 @@ with Client("${location.origin}") as client:
   TOML: (spec) => `# bounce submit sweep.toml --wait --url ${location.origin}
 ${assignments(spec).join("\n")}
 `,
-  curl: (spec) => `curl ${location.origin}/v1/jobs -H "Content-Type: application/json" -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
+  curl: (spec) => `curl ${location.origin}/v1/jobs -H "Content-Type: application/json"${hasToken() ? ' -H "Authorization: Bearer $BOUNCE_TOKEN"' : ""} -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
 `,
   JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
 };
