@@ -84,7 +84,8 @@ class JobSearch:
             "created < ?": [self.created_before],
         }
         if self.text:
-            values["(instr(lower(name), lower(?)) OR instr(id, lower(?)) = 1)"] = [self.text, self.text]
+            text = self.text.casefold()
+            values["(instr(casefold(name), ?) OR instr(id, ?) = 1)"] = [text, text]
         if after is not None:
             column = _COLUMNS[self.order]
             values[f"({column.sql}, seq) {'<' if column.way == 'DESC' else '>'} (?, ?)"] = after

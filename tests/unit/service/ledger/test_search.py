@@ -57,10 +57,10 @@ def _all(ledger: Ledger) -> list[JobRecord]:
 
 def _allows(search: JobSearch, job: JobRecord) -> bool:
     """The slow twin of the SQL."""
-    text = (search.text or "").lower()
+    text = (search.text or "").casefold()
     return all(
         [
-            text in job.name.lower() or job.id.startswith(text),
+            text in job.name.casefold() or job.id.startswith(text),
             search.state in (None, job.state),
             search.model is None or f'"{search.model}"' in job.spec,
             search.protocol is None or f'"{search.protocol}"' in job.spec,
@@ -76,7 +76,7 @@ def _sorted(jobs: list[JobRecord], order: JobOrder) -> list[JobRecord]:
         JobOrder.NEWEST: lambda job: -job.seq,
         JobOrder.OLDEST: lambda job: job.seq,
         JobOrder.FINISHED: lambda job: (-(job.finished or 0), -job.seq),
-        JobOrder.NAME: lambda job: ("".join(c.lower() if c.isascii() else c for c in job.name), job.seq),
+        JobOrder.NAME: lambda job: ("".join(c.casefold() if c.isascii() else c for c in job.name), job.seq),
         JobOrder.LARGEST: lambda job: (-job.cells_total, -job.seq),
     }
     return sorted(jobs, key=keys[order])
@@ -88,7 +88,7 @@ def _maybe(*values: Any) -> st.SearchStrategy[Any]:
 
 SEARCHES = st.builds(
     JobSearch,
-    text=_maybe("FIG", "0 %", "a_b", "_", "%", "\\", "Ω", "0"),
+    text=_maybe("FIG", "0 %", "a_b", "_", "%", "\\", "ω", "0"),
     state=_maybe(*STATES),
     model=_maybe(*MODELS, "ball"),
     protocol=_maybe(*PROTOCOLS),
