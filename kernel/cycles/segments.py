@@ -24,9 +24,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.interface import Phase, State, contact, flies, flight, plate_phase, prepare
-from kernel.models.contact_law import chatter_lift
+from kernel.models.contact_law import chatter_lift, plate_force
 from kernel.models.rigid import Spring
-from kernel.models.soft_contact import SoftSpring, combine, separate
+from kernel.models.soft_contact import SoftSpring, combine, forced, separate
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, by_type, inlined, jit
@@ -333,29 +333,12 @@ def _soft_move(spring: SoftSpring, letter: int, before: int, t: float, x: Any) -
     sin, cos = sincos(t)
     for j in range(len(x)):
         z = _get(x, j)
-        gap, gap1, q, q1 = _forced(spring, z.cos, z.sin, z.unit)
+        gap, gap1, q, q1 = forced(spring, z.cos, z.sin, z.unit)
         m = separate(spring, State(z.gap - gap, z.gap1 - gap1, z.q - q, z.q1 - q1))
         free = combine(spring, m, gap_over, elongation_over)
         c, s = _turned(z, sin, cos)
-        gap, gap1, q, q1 = _forced(spring, c, s, z.unit)
+        gap, gap1, q, q1 = forced(spring, c, s, z.unit)
         _put(x, j, Motion(free.gap + gap, free.gap1 + gap1, free.q + q, free.q1 + q1, c, s, z.unit))
-
-
-@inlined
-def _forced(s: SoftSpring, cos: float, sin: float, unit: float) -> State:
-    """The static and driven parts in contact."""
-    return State(
-        s.static_gap * unit + s.g_re * cos - s.g_im * sin,
-        -(s.g_re * sin + s.g_im * cos),
-        s.static_elongation * unit + s.q_re * cos - s.q_im * sin,
-        -(s.q_re * sin + s.q_im * cos),
-    )
-
-
-@inlined
-def _push(s: SoftSpring, z: Motion) -> float:
-    """n in contact."""
-    return -(s.kappa * z.gap + s.beta * z.gap1)
 
 
 @rate.register(SoftSpring)
@@ -363,7 +346,7 @@ def _push(s: SoftSpring, z: Motion) -> float:
 def _soft_rate(spring: SoftSpring, letter: int, z: Motion) -> Motion:
     """As in flight; in contact n also pushes the lower mass up, and so shortens the spring."""
     f = _falling(spring, z)
-    n = _push(spring, z) if letter == CONTACT else 0.0
+    n = plate_force(spring.kappa, spring.beta, z.gap, z.gap1) if letter == CONTACT else 0.0
     return Motion(f.gap, f.gap1 + n, f.q, f.q1 - n, f.cos, f.sin, 0.0)
 
 
@@ -372,9 +355,10 @@ def _soft_rate(spring: SoftSpring, letter: int, z: Motion) -> Motion:
 def _soft_event(spring: SoftSpring, letter: int, z: Motion) -> float:
     if letter == FLIGHT:
         return z.gap
+    force = plate_force(spring.kappa, spring.beta, z.gap, z.gap1)
     if letter == BELOW:
-        return -_push(spring, z)
-    return -z.gap if spring.adhesive else _push(spring, z)
+        return -force
+    return -z.gap if spring.adhesive else force
 
 
 @reset.register(SoftSpring)
