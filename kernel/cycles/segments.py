@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.interface import Phase, State, contact, flies, flight, plate_phase, prepare
-from kernel.models.contact_law import chatter_lift, plate_force
+from kernel.models.contact_law import chatter_lift, chatter_lift_variation, chatter_push, plate_force
 from kernel.models.rigid import Spring
 from kernel.models.soft_contact import SoftSpring, combine, forced, separate
 from kernel.numerics.elementary import TWO_PI, sincos
@@ -280,29 +280,23 @@ def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
 def _rest_of_chatter(spring: Spring, hop: float, value: Motion, x: Any) -> None:
     """Carry the rows of x to the end of the chatter that begins with `hop`.
 
-    value: the state if the mass stuck at once. The rest of the chatter adds a function of hop, n and n'
-    (`kernel.models.rigid`), which is differentiated here.
+    value: the state if the mass stuck at once. The rest adds a function of hop, n and n', as in
+    `kernel.models.rigid`.
     """
     b, w, e = spring.dashpot, spring.stiffness, spring.restitution
     hop = max(hop, _SHORTEST)
     n = _force(spring, value)
     n1 = _force(spring, _sticking(spring, value)) + b * n
-    area, moment = chatter_lift(hop, n, n1, e)
-    centre = hop / (n * (1.0 - e)) * (1.0 - e + e * e) / (1.0 + e * e)
-    whole = moment / centre  # of a constant n
+    lift = chatter_lift(hop, n, n1, e)
     for j in range(len(x)):
         z = _get(x, j)
         stuck = Motion(0.0, 0.0, z.q, z.q1 + z.gap1, z.cos, z.sin, z.unit)
-        more, later = area, moment
         if j > 0:
-            d_n = _force(spring, stuck)
-            d_n1 = _force(spring, _sticking(spring, stuck)) + b * d_n
-            d_hop, d_n = -e * z.gap1 / hop, d_n / n  # relative
-            more = (3.0 * d_hop - 2.0 * d_n) * area - whole * centre / n * (n1 * (d_hop - 2.0 * d_n) + d_n1)
-            later = (4.0 * d_hop - 3.0 * d_n) * moment
-        q = stuck.q + b * more - (w - b * b) * later
-        q1 = stuck.q1 + (w - b * b) * more + b * (2.0 * w - b * b) * later
-        _put(x, j, Motion(0.0, 0.0, q, q1, z.cos, z.sin, z.unit))
+            dn = _force(spring, stuck)
+            dn1 = _force(spring, _sticking(spring, stuck)) + b * dn
+            lift = chatter_lift_variation(hop, n, n1, e, -e * z.gap1, dn, dn1)
+        more, more1 = chatter_push(b, w, *lift)
+        _put(x, j, Motion(0.0, 0.0, stuck.q + more, stuck.q1 + more1, z.cos, z.sin, z.unit))
 
 
 @letter_of.register(Spring)
