@@ -269,15 +269,9 @@ def _section(
             p = phase_of(cell, phi, run, half)
             turns = math.floor((run.phase + half) * (1.0 / TWO_PI))
             phase, period = run.phase + half - TWO_PI * turns, run.period + turns
-            return True, _moved(run, phase, period, run.in_flight, p.state, ROOT)
+            return True, changed(run, phase=phase, period=period, state=p.state)
         run = record(run, p, window, attempt.cycle, 0)
     return False, run
-
-
-@jit
-def _moved(run: Progress, phase: float, period: int, in_flight: bool, state: State, ending: int) -> Progress:
-    """The run in another state."""
-    return changed(run, phase=phase, period=period, in_flight=in_flight, state=state, ending=ending)
 
 
 @jit
@@ -344,27 +338,21 @@ def _turn(
 
 
 @jit
-def _set_state(y: Any, state: State) -> None:
-    """Write a state to y (4,)."""
-    y[0], y[1], y[2], y[3] = state
-
-
-@jit
 def _newton(cell: Any, start: Progress, periods: int, window: Window, attempt: Attempt) -> bool:
     """Whether Newton's method finds a cycle of `periods` plate periods from the section `start`.
 
     Writes `attempt.y` and `attempt.first`.
     """
     y, step, turn = attempt.y, attempt.step, attempt.turn
-    _set_state(y, start.state)
+    y[0], y[1], y[2], y[3] = start.state
     scale, before = 1.0 + largest(y), 0.0
     for count in range(STEPS):
         closes, _, p = _turn(cell, start, periods, window, attempt)
         if not closes:
             return False
         if count == 0:
-            _set_state(attempt.first, p.state)
-        _set_state(step, p.state)
+            attempt.first[0], attempt.first[1], attempt.first[2], attempt.first[3] = p.state
+        step[0], step[1], step[2], step[3] = p.state
         for i in range(4):
             step[i] -= y[i]
             for j in range(4):
@@ -444,7 +432,7 @@ def _two_turns(
         return 0, run
     left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
     total = _recorded(cell, last, left, periods, window, attempt)
-    ended = _moved(run, 0.0, run.end, p.in_flight, p.state, CERTIFIED)
+    ended = changed(run, phase=0.0, period=run.end, in_flight=p.in_flight, state=p.state, ending=CERTIFIED)
     return total if total % 2 == 0 and total <= attempt.cycle.size else 0, ended
 
 
@@ -503,7 +491,7 @@ def _contracts(attempt: Attempt, modulus: float, state: State) -> bool:
     turn, first, y, r = attempt.turn, attempt.first, attempt.y, 0.5 * (1.0 + modulus)
     norm, image, before, rest = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4)
     contracting_norm(turn, r, norm)
-    _set_state(before, state)
+    before[0], before[1], before[2], before[3] = state
     scale = 1.0 + largest(before)
     for j in range(4):
         before[j] -= y[j]
