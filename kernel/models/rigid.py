@@ -82,7 +82,6 @@ class Stuck(NamedTuple):
 @interface.prepare.register(RigidPlate)
 @jit
 def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -> Spring:
-    """The constants of cell i."""
     stiffness = 1.0 / (omega * omega)
     dashpot = 2.0 * xi / omega
     near = hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE
@@ -119,7 +118,6 @@ def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
 @interface.contact_force.register(Spring)
 @jit
 def _contact_force(s: Spring, phi: PlatePhase, state: State) -> float:
-    """n in contact."""
     return normal_force(s, phi.cos, state.q, state.q1)
 
 
@@ -313,7 +311,6 @@ def _load(s: Spring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon
 @interface.unload_lane.register(Spring)
 @inlined
 def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, PlatePhase]:
-    """The phase that ended in lane k, and the plate's phase there."""
     tau, ending, used = lanes.search_end(table, k)
     phi = lanes.plate_at_end(table, k)
     if not run.in_flight:
