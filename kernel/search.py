@@ -184,7 +184,7 @@ class _Search:
         if end.gamma < self.bound and (end.fold or end.reason):  # not at rest
             self.end = Searched(end.gamma, end.fold.name if end.fold else end.reason, self.starts)
             if end.last is not None:
-                self._down(Cell(*end.last.cell), 0, end.last.state)
+                self._down(end.last.cell, 0, end.last.state)
 
     def _down(self, cell: Cell, periods: int, state: Floats) -> None:
         """Follow a motion down to its end: a stable cycle along its branch, others by steps."""

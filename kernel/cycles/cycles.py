@@ -43,9 +43,6 @@ MOST: Final = 4000
 LANDINGS: Final = "Fhcsz"
 FLIGHTS: Final = LANDINGS + "b"
 
-#: Parameters along which cycles are followed.
-PARAMETERS: Final = ("gamma", "omega", "xi")
-
 
 class Point(NamedTuple):
     """A cycle on a branch, with its equations."""
@@ -70,8 +67,7 @@ class Point(NamedTuple):
         return [t for t, letter in zip(self.times.tolist(), self.letters, strict=True) if letter in FLIGHTS]
 
     @property
-    def cell(self) -> tuple[float, float, float]:
-        """Gamma, Omega, xi."""
+    def cell(self) -> Cell:
         return self.cycles.cell(self.x)
 
     @property
@@ -92,7 +88,7 @@ class Point(NamedTuple):
     @property
     def state(self) -> Floats:
         """State at the start (6,), as STATE_FIELDS."""
-        return np.array([self.phase, float(self.letters[0] in FLIGHTS), 0.0, *self.x[:3] / self.cell[0]])
+        return np.array([self.phase, float(self.letters[0] in FLIGHTS), 0.0, *self.x[:3] / self.cell.gamma])
 
     def towards(self, way: Floats) -> "Point":
         """The cycle with a tangent that leans towards `way` (m,)."""
@@ -160,11 +156,10 @@ class Cycles(NamedTuple):
     def code(self) -> NDArray[np.uint8]:
         return np.frombuffer(self.letters.encode(), np.uint8)
 
-    def cell(self, x: Floats) -> tuple[float, float, float]:
-        """Gamma, Omega, xi of unknowns x (m,)."""
-        omega = float(x[-1]) if self.along == "omega" else self.omega
-        xi = float(x[-1]) if self.along == "xi" else self.xi
-        return math.hypot(x[3], x[4]), omega, xi
+    def cell(self, x: Floats) -> Cell:
+        """The cell of unknowns x (m,)."""
+        cell = Cell(math.hypot(x[3], x[4]), self.omega, self.xi)
+        return cell if self.along == "gamma" else cell._replace(**{self.along: float(x[-1])})
 
     def gradient(self, x: Floats) -> Floats:
         """Derivatives of the parameter by the unknowns (m,)."""
@@ -232,7 +227,7 @@ class Cycles(NamedTuple):
 
     def parameter(self, x: Floats) -> float:
         """Value of the parameter at unknowns x (m,)."""
-        return self.cell(x)[PARAMETERS.index(self.along)]
+        return float(getattr(self.cell(x), self.along))
 
     def on_branch(self, x: Floats) -> Point:
         """The known cycle at unknowns x (m,), with a tangent of either sign."""
@@ -291,7 +286,7 @@ def admissible(point: Point) -> Point | None:
 def _recounted(point: Point, first: int) -> Point | None:
     """The cycle with the hops of the kernel's round that begins with its segment `first`, or None."""
     kernel = kernels_round(point.cycles, point.x, _ROUNDS * TWO_PI * point.cycles.periods)
-    guess = _guess(point.cycles, point.cell[0], point.phase, kernel, first)
+    guess = _guess(point.cycles, point.cell.gamma, point.phase, kernel, first)
     if guess is None or len(guess[0].letters) > _LONGEST:
         return None
     cycles, start = guess
@@ -347,7 +342,7 @@ def _judged(point: Point) -> Broken | int | None:
         i, j = i + 1, j + 1
     if other_hops:
         return end
-    closure = np.abs(states[end][1:] - point.x[:3] / point.cell[0]).max()
+    closure = np.abs(states[end][1:] - point.x[:3] / point.cell.gamma).max()
     return None if closure < _CLOSES else Broken("does not close", 0)
 
 
