@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START, Round, go_round, newton_step, simulated
-from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
 from kernel.stopping import check
@@ -254,10 +253,8 @@ class Broken(NamedTuple):
 
 def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> tuple[str, Floats, Floats]:
     """The kernel's segments over `span` rad from the start in x, as `segments.simulated`."""
-    gamma, omega, xi = cycles.cell(x)
-    phase = math.atan2(x[4], x[3]) % TWO_PI
-    state = State(0.0, x[0] / gamma, x[1] / gamma, x[2] / gamma)
-    return simulated(cycles.plate, gamma, omega, xi, phase, state, span, most)
+    cell, phase = cycles.cell(x), math.atan2(x[4], x[3]) % TWO_PI
+    return simulated(cycles.plate, cell, [phase, 0.0, 0.0, *x[:3] / cell.gamma], span, most)
 
 
 def confirmed(point: Point) -> tuple[Point, Broken | None]:
@@ -370,25 +367,21 @@ def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, F
     simulates, begun after the longest flight.
     """
     gamma, omega, xi = map(float, cell)
-    phase, _, *rest = map(float, state)
     whole = TWO_PI * periods
     span, most = _ROUNDS * whole + 3.0, MOST * periods
-    letters, times, _ = kernel = simulated(plate, gamma, omega, xi, phase, State(*rest), span, most)
+    letters, times, _ = kernel = simulated(plate, cell, state, span, most)
     since = np.cumsum(times) - times  # rad, at the beginning of each segment
     landings = [i for i in range(1, len(letters)) if letters[i] in LANDINGS and since[i] <= whole + 1e-9]
     if not landings:
         return None
     first = max(landings, key=lambda i: times[i]) + 1
-    return _guess(Cycles(plate, omega, xi, "", periods), gamma, phase, kernel, first)
+    return _guess(Cycles(plate, omega, xi, "", periods), gamma, float(state[0]), kernel, first)
 
 
 def state_after(plate: Any, cell: Cell, state: Floats, periods: int) -> Floats:
     """The state (6,) about `periods` plate periods after another, as STATE_FIELDS."""
-    gamma, omega, xi = map(float, cell)
-    phase, _, *rest = map(float, state)
-    most = MOST * periods
-    _, times, states = simulated(plate, gamma, omega, xi, phase, State(*rest), TWO_PI * periods, most)
-    return np.array([(phase + times.sum()) % TWO_PI, 0.0, *states[-1]])
+    _, times, states = simulated(plate, cell, state, TWO_PI * periods, MOST * periods)
+    return np.array([(state[0] + times.sum()) % TWO_PI, 0.0, *states[-1]])
 
 
 def _guess(

@@ -31,6 +31,7 @@ from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, by_type, inlined, jit
 from kernel.numerics.oscillator import propagator, response
+from kernel.params import Cell
 
 STUCK, HOP, CHATTER, STICKS, TAKES_OFF = (ord(letter) for letter in "Shcsz")
 CONTACT, FLIGHT, BELOW = (ord(letter) for letter in "CFb")
@@ -530,15 +531,15 @@ def _event_after(
     return value, slope, event(spring, letter, rate(spring, letter, now))
 
 
-def simulated(
-    plate: Any, gamma: float, omega: float, xi: float, phi: float, state: State, span: float, most: int
-) -> tuple[str, Any, Any]:
-    """The kernel's segments from a state (plate amplitudes) at phase phi, over `span` rad, at most `most`.
+def simulated(plate: Any, cell: Cell, state: Any, span: float, most: int) -> tuple[str, Any, Any]:
+    """The kernel's segments from a state (6,), as STATE_FIELDS, over `span` rad, at most `most`.
 
     Returns letters (n,), durations (n,), rad, and states (n + 1, 4) at each beginning and at the end, without
     the segment that `span` cuts off.
     """
-    letters, times, states = _simulated(plate, gamma, omega, xi, phi, state, span, most)
+    gamma, omega, xi = map(float, cell)
+    phi, _, *rest = map(float, state)
+    letters, times, states = _simulated(plate, gamma, omega, xi, phi, State(*rest), span, most)
     return letters.tobytes().decode(), times, states
 
 
