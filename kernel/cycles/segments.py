@@ -25,12 +25,13 @@ import numpy as np
 
 from kernel.interface import Phase, State, contact, flies, flight, plate_phase, prepare
 from kernel.models.contact_law import chatter_lift, chatter_lift_variation, chatter_push, plate_force
+from kernel.models.flight import remainders
 from kernel.models.rigid import Spring
 from kernel.models.soft_contact import SoftSpring, combine, forced, separate
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, by_type, inlined, jit
-from kernel.numerics.oscillator import propagator, response
+from kernel.numerics.oscillator import SHORT, propagator, response
 from kernel.params import Cell
 
 STUCK, HOP, CHATTER, STICKS, TAKES_OFF = (ord(letter) for letter in "Shcsz")
@@ -123,14 +124,9 @@ def _fall(spring: Any, t: float) -> Fall:
             double += last * power * t * t / ((n + 1) * (n + 2))
         s_int, s_int2 = 0.5 * t * t + s_int_rest, t * t * t / 6.0 + double
     sin_rest, cos_rest = t - sin, versine - 0.5 * t * t
-    if t < _SHORT:
-        sin_rest, cos_rest, power = 0.0, 0.0, 0.5 * t * t
-        for n in range(3, _TERMS, 2):
-            sign = 1.0 if n % 4 == 3 else -1.0
-            power *= t / n
-            sin_rest += sign * power
-            power *= t / (n + 1)
-            cos_rest -= sign * power
+    if t < SHORT:
+        sin_rest, cos_rest = remainders(t)
+        cos_rest = -cos_rest
     return Fall(c, s, s1, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine)
 
 
@@ -262,14 +258,12 @@ def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
     """A landing: the upper mass keeps its velocity, so that q' gains what gap' loses."""
     if letter == STUCK:
         return 0.0
-    e = spring.restitution
-    kept = e if letter == HOP else 0.0
-    hop = -e * x[0, 1]
+    kept = spring.restitution if letter == HOP else 0.0
     z = _get(x, 0)
     value = Motion(0.0, 0.0, z.q, z.q1 + z.gap1, z.cos, z.sin, 1.0)
     force = _force(spring, value)
     if letter == CHATTER:
-        _rest_of_chatter(spring, hop, value, x)
+        _rest_of_chatter(spring, value, x)
         return force
     for j in range(len(x)):
         z = _get(x, j)
@@ -278,14 +272,14 @@ def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
 
 
 @jit
-def _rest_of_chatter(spring: Spring, hop: float, value: Motion, x: Any) -> None:
-    """Carry the rows of x to the end of the chatter that begins with `hop`.
+def _rest_of_chatter(spring: Spring, value: Motion, x: Any) -> None:
+    """Carry the rows of x, at a landing, to the end of the chatter that begins there.
 
-    value: the state if the mass stuck at once. The rest adds a function of hop, n and n', as in
+    value: the state if the mass stuck at once. The rest adds a function of the first hop, n and n', as in
     `kernel.models.rigid`.
     """
     b, w, e = spring.dashpot, spring.stiffness, spring.restitution
-    hop = max(hop, _SHORTEST)
+    hop = max(-e * x[0, 1], _SHORTEST)
     n = _force(spring, value)
     n1 = _force(spring, _sticking(spring, value)) + b * n
     lift = chatter_lift(hop, n, n1, e)
