@@ -97,7 +97,7 @@ def conjecture(
     if cycles or not rule.decides:
         from kernel.cycles import descent  # noqa: PLC0415 - imports numba
 
-        solved = partial(descent.solved, descent.ideal_plate(), omega, xi)
+        solved = partial(descent.solved, omega, xi)
         folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(solved(flip), gamma_th))]
         lowest = _lowest(folds, gamma_th)
         last = [cycle for cycle in rule.last if cycle.gamma < lowest]
