@@ -300,12 +300,11 @@ def _load_flight(table: Any, k: int, s: Spring, run: Progress, phi: PlatePhase, 
 @interface.load_lane.register(Spring)
 @inlined
 def _load(s: Spring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
-    """Put the run's next phase into lane k, if lanes support its oscillators."""
     if run.in_flight:
         loaded = _load_flight(table, k, s, run, phi, horizon)
     else:
         loaded = _load_contact(table, k, s, run, phi, horizon)
-    return loaded and lanes.supports(s.stuck) and lanes.supports(s.flight)
+    return loaded and lanes.supports(s.stuck)  # and so the stiffer one of the flight
 
 
 @interface.unload_lane.register(Spring)
