@@ -330,10 +330,9 @@ def _longest(flights: Flights, first: int, begin: int, end: int) -> float:
 
 @allocating
 def _counted(
-    flights: Flights, first: int, recorded: int, last: int, micro_flight: float
+    flights: Flights, first: int, recorded: int, kept: int, micro_flight: float
 ) -> tuple[Any, Any, Any]:
-    """Times, take-off phases and periods, arrays (n,), of the `last` flights that count for the mode."""
-    kept = min(recorded, last)
+    """Times, take-off phases and periods, arrays (n,), of the last `kept` flights that count for the mode."""
     longest = _longest(flights, first, recorded - kept, recorded)
     shortest = micro_flight if longest > micro_flight else 0.0
     time, phase, period = np.empty(kept), np.empty(kept), np.empty(kept, dtype=np.int64)

@@ -155,7 +155,7 @@ def _read(recorded: int, k: int, window: Window, flights: Flights, search: Searc
         if longer:
             counts[LONGER] = flights.period[j]
         if longer or flights.period[j] - counts[LONGER] > ALONE:
-            m = _searched(k, counts[COUNTED])
+            m = slot(_ring(search), k * SEARCHED, counts[COUNTED])
             search.time[m], search.phase[m] = flights.time[j], flights.phase[j]
             search.period[m] = flights.period[j]
             counts[COUNTED] += 1
@@ -164,10 +164,10 @@ def _read(recorded: int, k: int, window: Window, flights: Flights, search: Searc
     return due
 
 
-@jit
-def _searched(k: int, n: int) -> int:
-    """Index of the n-th counting flight of lane k."""
-    return k * SEARCHED + (n & (SEARCHED - 1))
+@inlined
+def _ring(search: Search) -> Flights:
+    """The counting flights of all lanes."""
+    return Flights(search.time, search.phase, search.period, SEARCHED, 0)
 
 
 @jit
@@ -199,9 +199,10 @@ def _is_near(k: int, search: Search) -> bool:
 def _candidate(k: int, search: Search) -> tuple[int, int, float]:
     """Flights and plate periods of the shortest cycle to try, and its difference, rad; 0 without one."""
     n, failed = search.counts[k, COUNTED], search.failed[k]
-    j, chosen, chosen_periods, difference = _searched(k, n - 1), 0, 0, 0.0
+    ring, first = _ring(search), k * SEARCHED
+    j, chosen, chosen_periods, difference = slot(ring, first, n - 1), 0, 0, 0.0
     for bounces in range(1, _most(n) + 1):
-        i = _searched(k, n - 1 - bounces)
+        i = slot(ring, first, n - 1 - bounces)
         newest = abs(search.time[j] - search.time[i])
         if newest <= LEFT:
             shift = search.phase[j] - search.phase[i]
@@ -212,36 +213,37 @@ def _candidate(k: int, search: Search) -> tuple[int, int, float]:
             continue
         periods = search.period[j] - search.period[i] + int(turn)
         if chosen == 0 and periods >= 1 and newest <= min(NEAR, NEARER * failed[bounces]):
-            last = _difference(k, n, bounces, bounces, periods, search)
+            last = _difference(ring, first, n - bounces, n, bounces, periods)
             repeats = last <= min(NEAR, NEARER * failed[bounces])
-            if repeats and _approaches(k, n, bounces, periods, last, search):
+            if repeats and _approaches(ring, first, n, bounces, periods, last):
                 chosen, chosen_periods, difference = bounces, periods, last
     return chosen, chosen_periods, difference
 
 
 @jit
-def _difference(k: int, n: int, count: int, bounces: int, periods: int, search: Search) -> float:
-    """How far the `count` flights before the n-th differ at most from those `bounces` before, rad."""
+def _difference(flights: Flights, first: int, begin: int, end: int, bounces: int, periods: int) -> float:
+    """How far the flights from `begin` to `end` differ at most from those `bounces` before, rad."""
     difference = 0.0
-    for m in range(n - count, n):
-        j, i = _searched(k, m), _searched(k, m - bounces)
-        shift = search.phase[j] - search.phase[i] + TWO_PI * (search.period[j] - search.period[i] - periods)
-        difference = max(difference, abs(search.time[j] - search.time[i]), abs(shift))
+    for n in range(begin, end):
+        j, i = slot(flights, first, n), slot(flights, first, n - bounces)
+        turns = flights.period[j] - flights.period[i] - periods
+        shift = flights.phase[j] - flights.phase[i] + TWO_PI * turns
+        difference = max(difference, abs(flights.time[j] - flights.time[i]), abs(shift))
     return difference
 
 
 @jit
-def _approaches(k: int, n: int, bounces: int, periods: int, last: float, search: Search) -> bool:
+def _approaches(flights: Flights, first: int, n: int, bounces: int, periods: int, last: float) -> bool:
     """Whether the flights do not leave a candidate, and no part of it repeats nearly as well as all of it."""
-    before = _difference(k, n - bounces, bounces, bounces, periods, search)
+    before = _difference(flights, first, n - 2 * bounces, n - bounces, bounces, periods)
     if before > LEFT or last > before + ROUNDING:
         return False
     for shorter in range(1, bounces // 2 + 1):
         if bounces % shorter == 0:
             difference = 0.0
             for m in range(n - bounces, n):
-                j, i = _searched(k, m), _searched(k, m - shorter)
-                difference = max(difference, abs(search.time[j] - search.time[i]))
+                j, i = slot(flights, first, m), slot(flights, first, m - shorter)
+                difference = max(difference, abs(flights.time[j] - flights.time[i]))
             if BETTER * difference <= last:
                 return False
     return True
@@ -269,15 +271,9 @@ def _section(
             p = phase_of(cell, phi, run, half)
             turns = math.floor((run.phase + half) * (1.0 / TWO_PI))
             phase, period = run.phase + half - TWO_PI * turns, run.period + turns
-            return True, _moved(run, phase, period, run.in_flight, p.state, ROOT)
+            return True, changed(run, phase=phase, period=period, state=p.state)
         run = record(run, p, window, attempt.cycle, 0)
     return False, run
-
-
-@jit
-def _moved(run: Progress, phase: float, period: int, in_flight: bool, state: State, ending: int) -> Progress:
-    """The run in another state."""
-    return changed(run, phase=phase, period=period, in_flight=in_flight, state=state, ending=ending)
 
 
 @jit
@@ -344,27 +340,21 @@ def _turn(
 
 
 @jit
-def _set_state(y: Any, state: State) -> None:
-    """Write a state to y (4,)."""
-    y[0], y[1], y[2], y[3] = state
-
-
-@jit
 def _newton(cell: Any, start: Progress, periods: int, window: Window, attempt: Attempt) -> bool:
     """Whether Newton's method finds a cycle of `periods` plate periods from the section `start`.
 
     Writes `attempt.y` and `attempt.first`.
     """
     y, step, turn = attempt.y, attempt.step, attempt.turn
-    _set_state(y, start.state)
+    y[0], y[1], y[2], y[3] = start.state
     scale, before = 1.0 + largest(y), 0.0
     for count in range(STEPS):
         closes, _, p = _turn(cell, start, periods, window, attempt)
         if not closes:
             return False
         if count == 0:
-            _set_state(attempt.first, p.state)
-        _set_state(step, p.state)
+            attempt.first[0], attempt.first[1], attempt.first[2], attempt.first[3] = p.state
+        step[0], step[1], step[2], step[3] = p.state
         for i in range(4):
             step[i] -= y[i]
             for j in range(4):
@@ -399,20 +389,21 @@ def _accept(
     end = start.period + periods + 1
     end += (window.settle + window.observe - end) % periods
     total, last = _two_turns(cell, run, start, periods, end, window, attempt)
-    repeats = _repeats(cycle, total, total // 2, periods)
+    half = total // 2
+    repeats = _difference(cycle, 0, half, total, half, periods)
     if total == 0 or not repeats <= SAME:
         return run
     modulus, angle = leading_eigenvalue(attempt.turn)
     if not (modulus < 1.0 and _contracts(attempt, modulus, start.state)):
         return run
     parts = _parts(cycle, total, periods, max(SAME, 10.0 * repeats))
-    flights, part = total // 2 // parts, periods // parts
+    flights, part = half // parts, periods // parts
     if parts > 1:
         closes, _, _ = _turn(cell, start, part, window, attempt)
         modulus, angle = leading_eigenvalue(attempt.turn)
         if not closes:
             return run
-    repeats = _repeats(cycle, total, flights, part)
+    repeats = _difference(cycle, 0, half, total, flights, part)
     growth = _growth(cell, start, periods, total, window, attempt)
     error = repeats + FLOOR * max(1.0, growth / GROWTH) + attempt.error[0]
     if not (modulus < 1.0 - MARGIN and error < math.inf):  # a touch whose rate is zero has no bound
@@ -444,7 +435,7 @@ def _two_turns(
         return 0, run
     left = TWO_PI * (start.period + 2 * periods - last.period) + start.phase - last.phase
     total = _recorded(cell, last, left, periods, window, attempt)
-    ended = _moved(run, 0.0, run.end, p.in_flight, p.state, CERTIFIED)
+    ended = changed(run, phase=0.0, period=run.end, in_flight=p.in_flight, state=p.state, ending=CERTIFIED)
     return total if total % 2 == 0 and total <= attempt.cycle.size else 0, ended
 
 
@@ -469,18 +460,9 @@ def _growth(cell: Any, start: Progress, periods: int, total: int, window: Window
     for j in range(4):
         attempt.y[j] *= 1.0 + SHIFT
     flights = _recorded(cell, _from(start, attempt.y), TWO_PI * periods, periods, window, attempt)
-    return _repeats(attempt.cycle, total, flights, periods) / SHIFT if 2 * flights == total else math.inf
-
-
-@jit
-def _repeats(cycle: Flights, total: int, flights: int, periods: int) -> float:
-    """How far the last half of `total` flights differ at most from those `flights` before, rad."""
-    difference = 0.0
-    for n in range(total // 2, total):
-        m = n - flights
-        shift = cycle.phase[n] - cycle.phase[m] + TWO_PI * (cycle.period[n] - cycle.period[m] - periods)
-        difference = max(difference, abs(cycle.time[n] - cycle.time[m]), abs(shift))
-    return difference
+    if 2 * flights != total:
+        return math.inf
+    return _difference(attempt.cycle, 0, flights, total, flights, periods) / SHIFT
 
 
 @jit
@@ -489,7 +471,7 @@ def _parts(cycle: Flights, total: int, periods: int, same: float) -> int:
     for parts in range(periods, 1, -1):
         flights = total // (2 * parts)
         whole = periods % parts == 0 and total % (2 * parts) == 0
-        if whole and _repeats(cycle, total, flights, periods // parts) <= same:
+        if whole and _difference(cycle, 0, total // 2, total, flights, periods // parts) <= same:
             return parts
     return 1
 
@@ -503,7 +485,7 @@ def _contracts(attempt: Attempt, modulus: float, state: State) -> bool:
     turn, first, y, r = attempt.turn, attempt.first, attempt.y, 0.5 * (1.0 + modulus)
     norm, image, before, rest = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(4)
     contracting_norm(turn, r, norm)
-    _set_state(before, state)
+    before[0], before[1], before[2], before[3] = state
     scale = 1.0 + largest(before)
     for j in range(4):
         before[j] -= y[j]

@@ -160,15 +160,19 @@ def _weight(t: float) -> float:
 
 
 @jit
-def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) -> None:
+def carry(cell: Any, before: Any, run: Any, p: Phase, window: Any, variations: Variations) -> None:
     """Carry the variations over the contact or flight `p` that follows `run`, and through its end.
 
-    run: `cell.Progress`; window: `cell.Window`. Variations begin ALIGN times `observe` plate periods
-    before the window.
+    run: `cell.Progress`, which `interface.replay` has made of `before`; window: `cell.Window`. Variations
+    begin ALIGN times `observe` plate periods before the window.
     """
+    vectors = variations.vectors
+    if run.period != before.period or run.phase != before.phase:
+        vectors[:] = 0.0
+        if run.period >= run.settle:
+            variations.sums[:] = -math.inf
     if run.period < run.settle - ALIGN * window.observe:
         return
-    vectors = variations.vectors
     left = run.end - run.period  # plate periods to the run's end
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
     done = 0.0
@@ -187,16 +191,6 @@ def carry(cell: Any, run: Any, p: Phase, window: Any, variations: Variations) ->
             interface.carry_through_landing(cell, vectors, plate_phase(run.phase), run.state, p)
         else:
             interface.carry_through_takeoff(cell, vectors, p)
-
-
-@jit
-def carry_run(cell: Any, before: Any, started: Any, p: Phase, window: Any, variations: Variations) -> None:
-    """`carry` over the phase `p` from `started`, which `interface.replay` has made of `before`."""
-    if started.period != before.period or started.phase != before.phase:
-        variations.vectors[:] = 0.0
-        if started.period >= started.settle:
-            variations.sums[:] = -math.inf
-    carry(cell, started, p, window, variations)
 
 
 @jit

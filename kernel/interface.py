@@ -117,7 +117,6 @@ def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
 @replay.otherwise
 @jit
 def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
-    """The run as it is."""
     return run
 
 
@@ -156,7 +155,6 @@ def dimension(plate: Any) -> int:  # type: ignore[empty-body]
 
 @dimension.otherwise
 def _no_variations(plate: Any) -> int:
-    """None."""
     return 0
 
 

@@ -217,7 +217,7 @@ def _walk(
                         phi = phi if exact else plate_phase(run.phase)
                         p = _scalar_phase(springs[k], run, phi)
                     if variations is not None and not lanes.followed[k]:
-                        lyapunov.carry_run(springs[k], before, run, p, window, variations)
+                        lyapunov.carry(springs[k], before, run, p, window, variations)
                     run = cell.record(run, p, window, flights, first)
                     if (
                         search is not None

@@ -56,14 +56,12 @@ def slot(flights: Flights, first: int, n: int) -> int:
 
 
 @jit
-def find_cycle(
-    flight_time: Any, takeoff_phase: Any, takeoff_period: Any, tolerance: float = REPEATS
-) -> tuple[int, int]:
+def find_cycle(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
     """The shortest cycle that the last flights follow: (bounces, plate periods), or (0, 0).
 
     Arrays (n,) in order of time: flight times in rad, take-off phases in rad modulo 2 pi, and plate periods
-    since the cell began at take-off; tolerance in rad. A cycle must hold over the last half of the flights
-    and occur three times.
+    since the cell began at take-off. A cycle must hold over the last half of the flights, within REPEATS, and
+    occur three times.
     """
     n = len(flight_time)
     for bounces in range(1, n // 3 + 1):
@@ -79,7 +77,7 @@ def find_cycle(
             j = i - bounces
             turns = takeoff_period[i] - takeoff_period[j] - periods
             shift = takeoff_phase[i] - takeoff_phase[j] + TWO_PI * turns
-            if abs(flight_time[i] - flight_time[j]) > tolerance or abs(shift) > tolerance:
+            if abs(flight_time[i] - flight_time[j]) > REPEATS or abs(shift) > REPEATS:
                 repeats = False
                 break
         if repeats:
@@ -90,7 +88,7 @@ def find_cycle(
 @jit
 def find_mode(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
     """The mode (bounces, plate periods) of the flights: the limit of the cycle of `find_cycle`."""
-    bounces, periods = find_cycle(flight_time, takeoff_phase, takeoff_period, REPEATS)
+    bounces, periods = find_cycle(flight_time, takeoff_phase, takeoff_period)
     if bounces > 0:
         limit = limit_cycle(flight_time, takeoff_phase, bounces)
         if periods * limit % bounces == 0:

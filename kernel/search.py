@@ -76,21 +76,21 @@ def starts_of(effort: float) -> int:
     return round(100.0 * math.pow(10.0, effort / 50.0))
 
 
-def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0, seed: int = 0) -> Searched:
+def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0) -> Searched:
     """The lowest Gamma at which a spring bounces. plate: of one cell.
 
     Starts lie between the lowest known end, where rest or a branch beside the closed form ends, and _LOWEST
     of it.
     """
-    return _Search(plate, omega, xi, starts_of(effort), seed).lowest()
+    return _Search(plate, omega, xi, starts_of(effort)).lowest()
 
 
 class _Search:
     """The branches of one spring that were followed, and the lowest end."""
 
-    def __init__(self, plate: Any, omega: float, xi: float, starts: int, seed: int) -> None:
+    def __init__(self, plate: Any, omega: float, xi: float, starts: int) -> None:
         self.plate, self.omega, self.xi, self.starts = plate, omega, xi, starts
-        self.rng = np.random.default_rng(seed)
+        self.rng = np.random.default_rng(0)
         self.top = rest_ends(plate, omega, xi)
         self.end = Searched(math.nan, "", starts)
         self.lines: list[Followed] = []
@@ -184,7 +184,7 @@ class _Search:
         if end.gamma < self.bound and (end.fold or end.reason):  # not at rest
             self.end = Searched(end.gamma, end.fold.name if end.fold else end.reason, self.starts)
             if end.last is not None:
-                self._down(Cell(*end.last.cell), 0, end.last.state)
+                self._down(end.last.cell, 0, end.last.state)
 
     def _down(self, cell: Cell, periods: int, state: Floats) -> None:
         """Follow a motion down to its end: a stable cycle along its branch, others by steps."""

@@ -10,7 +10,6 @@ from kernel.cycles.cycles import LANDINGS, Broken, Cycles, Point, admissible, en
 from kernel.cycles.events import Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START, lowest, simulated
-from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 
 #: Samples in a search for a segment's minimum: over the whole segment, and near its last place.
@@ -199,9 +198,9 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
         x[START + i] = wait
         z = point.cycles.equations(x).starts[i + 1]
         n = z[6] - z[4] - b * z[3] - w * z[2]
-        state = State(0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma)
         phase = math.atan2(z[5], z[4]) % TWO_PI
-        letters, times, _ = simulated(point.cycles.plate, gamma, omega, xi, phase, state, whole - wait, _HOPS)
+        state = [phase, 0.0, 0.0, 0.0, (z[2] + 0.25 * n / w) / gamma, z[3] / gamma]
+        letters, times, _ = simulated(point.cycles.plate, point.cell, state, whole - wait, _HOPS)
         end = max(letters.find("c"), letters.find("s")) + 1
         left = whole - wait - times[:end].sum()
         if end < 2 or letters[0] != "S" or left <= 0.0:

@@ -17,7 +17,7 @@ from kernel.cycles.events import Kind
 from kernel.cycles.folds import Fold
 from kernel.cycles.follow import End, Followed
 from kernel.cycles.starts import start_on_cycle
-from kernel.cycles.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, lowest_end, where_searched
+from kernel.cycles.thresholds import PERIODS, Thresholds, closed_form, lowest_end, where_searched
 from kernel.interface import prepare
 from kernel.params import Cell
 
@@ -38,7 +38,7 @@ def thresholds_of(
     cycles, bouncing: as in `thresholds.conjecture`. Raises KernelInputError.
     """
     gamma_th = rest_ends(plate, omega, xi)
-    answer = Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, "", None)
+    answer = Thresholds(omega, xi, gamma_th)
     if not math.isfinite(gamma_th):
         return answer._replace(reason="a spring at rest bounces at no Gamma")
     folds: list[Fold] = []

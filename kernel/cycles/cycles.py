@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START, Round, go_round, newton_step, simulated
-from kernel.interface import State
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
 from kernel.stopping import check
@@ -43,9 +42,6 @@ MOST: Final = 4000
 LANDINGS: Final = "Fhcsz"
 FLIGHTS: Final = LANDINGS + "b"
 
-#: Parameters along which cycles are followed.
-PARAMETERS: Final = ("gamma", "omega", "xi")
-
 
 class Point(NamedTuple):
     """A cycle on a branch, with its equations."""
@@ -70,8 +66,7 @@ class Point(NamedTuple):
         return [t for t, letter in zip(self.times.tolist(), self.letters, strict=True) if letter in FLIGHTS]
 
     @property
-    def cell(self) -> tuple[float, float, float]:
-        """Gamma, Omega, xi."""
+    def cell(self) -> Cell:
         return self.cycles.cell(self.x)
 
     @property
@@ -92,7 +87,7 @@ class Point(NamedTuple):
     @property
     def state(self) -> Floats:
         """State at the start (6,), as STATE_FIELDS."""
-        return np.array([self.phase, float(self.letters[0] in FLIGHTS), 0.0, *self.x[:3] / self.cell[0]])
+        return np.array([self.phase, float(self.letters[0] in FLIGHTS), 0.0, *self.x[:3] / self.cell.gamma])
 
     def towards(self, way: Floats) -> "Point":
         """The cycle with a tangent that leans towards `way` (m,)."""
@@ -160,11 +155,10 @@ class Cycles(NamedTuple):
     def code(self) -> NDArray[np.uint8]:
         return np.frombuffer(self.letters.encode(), np.uint8)
 
-    def cell(self, x: Floats) -> tuple[float, float, float]:
-        """Gamma, Omega, xi of unknowns x (m,)."""
-        omega = float(x[-1]) if self.along == "omega" else self.omega
-        xi = float(x[-1]) if self.along == "xi" else self.xi
-        return math.hypot(x[3], x[4]), omega, xi
+    def cell(self, x: Floats) -> Cell:
+        """The cell of unknowns x (m,)."""
+        cell = Cell(math.hypot(x[3], x[4]), self.omega, self.xi)
+        return cell if self.along == "gamma" else cell._replace(**{self.along: float(x[-1])})
 
     def gradient(self, x: Floats) -> Floats:
         """Derivatives of the parameter by the unknowns (m,)."""
@@ -232,7 +226,7 @@ class Cycles(NamedTuple):
 
     def parameter(self, x: Floats) -> float:
         """Value of the parameter at unknowns x (m,)."""
-        return self.cell(x)[PARAMETERS.index(self.along)]
+        return float(getattr(self.cell(x), self.along))
 
     def on_branch(self, x: Floats) -> Point:
         """The known cycle at unknowns x (m,), with a tangent of either sign."""
@@ -259,10 +253,8 @@ class Broken(NamedTuple):
 
 def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> tuple[str, Floats, Floats]:
     """The kernel's segments over `span` rad from the start in x, as `segments.simulated`."""
-    gamma, omega, xi = cycles.cell(x)
-    phase = math.atan2(x[4], x[3]) % TWO_PI
-    state = State(0.0, x[0] / gamma, x[1] / gamma, x[2] / gamma)
-    return simulated(cycles.plate, gamma, omega, xi, phase, state, span, most)
+    cell, phase = cycles.cell(x), math.atan2(x[4], x[3]) % TWO_PI
+    return simulated(cycles.plate, cell, [phase, 0.0, 0.0, *x[:3] / cell.gamma], span, most)
 
 
 def confirmed(point: Point) -> tuple[Point, Broken | None]:
@@ -291,7 +283,7 @@ def admissible(point: Point) -> Point | None:
 def _recounted(point: Point, first: int) -> Point | None:
     """The cycle with the hops of the kernel's round that begins with its segment `first`, or None."""
     kernel = kernels_round(point.cycles, point.x, _ROUNDS * TWO_PI * point.cycles.periods)
-    guess = _guess(point.cycles, point.cell[0], point.phase, kernel, first)
+    guess = _guess(point.cycles, point.cell.gamma, point.phase, kernel, first)
     if guess is None or len(guess[0].letters) > _LONGEST:
         return None
     cycles, start = guess
@@ -347,7 +339,7 @@ def _judged(point: Point) -> Broken | int | None:
         i, j = i + 1, j + 1
     if other_hops:
         return end
-    closure = np.abs(states[end][1:] - point.x[:3] / point.cell[0]).max()
+    closure = np.abs(states[end][1:] - point.x[:3] / point.cell.gamma).max()
     return None if closure < _CLOSES else Broken("does not close", 0)
 
 
@@ -375,25 +367,21 @@ def read(plate: Any, cell: Cell, periods: int, state: Floats) -> tuple[Cycles, F
     simulates, begun after the longest flight.
     """
     gamma, omega, xi = map(float, cell)
-    phase, _, *rest = map(float, state)
     whole = TWO_PI * periods
     span, most = _ROUNDS * whole + 3.0, MOST * periods
-    letters, times, _ = kernel = simulated(plate, gamma, omega, xi, phase, State(*rest), span, most)
+    letters, times, _ = kernel = simulated(plate, cell, state, span, most)
     since = np.cumsum(times) - times  # rad, at the beginning of each segment
     landings = [i for i in range(1, len(letters)) if letters[i] in LANDINGS and since[i] <= whole + 1e-9]
     if not landings:
         return None
     first = max(landings, key=lambda i: times[i]) + 1
-    return _guess(Cycles(plate, omega, xi, "", periods), gamma, phase, kernel, first)
+    return _guess(Cycles(plate, omega, xi, "", periods), gamma, float(state[0]), kernel, first)
 
 
 def state_after(plate: Any, cell: Cell, state: Floats, periods: int) -> Floats:
     """The state (6,) about `periods` plate periods after another, as STATE_FIELDS."""
-    gamma, omega, xi = map(float, cell)
-    phase, _, *rest = map(float, state)
-    most = MOST * periods
-    _, times, states = simulated(plate, gamma, omega, xi, phase, State(*rest), TWO_PI * periods, most)
-    return np.array([(phase + times.sum()) % TWO_PI, 0.0, *states[-1]])
+    _, times, states = simulated(plate, cell, state, TWO_PI * periods, MOST * periods)
+    return np.array([(state[0] + times.sum()) % TWO_PI, 0.0, *states[-1]])
 
 
 def _guess(

@@ -49,9 +49,9 @@ def ideal_plate() -> Any:
     return rigid.plate(restitution=np.zeros(1))
 
 
-def solved(plate: Any, omega: float, xi: float, cycle: Cycle) -> Point:
-    """A known cycle with the equations that it solves."""
-    return Cycles(plate, omega, xi, cycle.letters, cycle.periods).on_branch(cycle.unknowns)
+def solved(omega: float, xi: float, cycle: Cycle) -> Point:
+    """A known cycle of the closed form with the equations that it solves."""
+    return Cycles(ideal_plate(), omega, xi, cycle.letters, cycle.periods).on_branch(cycle.unknowns)
 
 
 def descend(point: Point) -> Descent:

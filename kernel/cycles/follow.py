@@ -71,7 +71,6 @@ class Event(NamedTuple):
     kind: Kind | End
     point: Point
     turns: bool = False  # whether the parameter turns back here
-    letters: str = ""  # the segments beyond a change
     after: int = 0  # index of the last point before it, among those of `follow`
 
 
@@ -301,7 +300,7 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
         if point is not None and after is not None:
             kind, changed, first = after
             turns = point.towards(last.tangent).rising * first.rising < 0.0
-            return first, [Event(kind, changed, turns, first.letters)]
+            return first, [Event(kind, changed, turns)]
     if "C" not in last.letters:
         return None, []
     shortest = int(np.argmin(last.times))
@@ -310,8 +309,7 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
         if after is not None:
             kind, _, first = after
             turns = last.rising * first.rising < 0.0
-            event = Event(kind, last, turns, first.letters)
-            return first, [event] if _multipliers_jump(last, first) else []
+            return first, [Event(kind, last, turns)] if _multipliers_jump(last, first) else []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
     return over_small_segment(last, before), []
 

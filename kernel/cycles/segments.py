@@ -24,13 +24,15 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from kernel.interface import Phase, State, contact, flies, flight, plate_phase, prepare
-from kernel.models.contact_law import chatter_lift
+from kernel.models.contact_law import chatter_lift, chatter_lift_variation, chatter_push, plate_force
+from kernel.models.flight import remainders
 from kernel.models.rigid import Spring
-from kernel.models.soft_contact import SoftSpring, combine, separate
+from kernel.models.soft_contact import SoftSpring, combine, forced, separate
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, by_type, inlined, jit
-from kernel.numerics.oscillator import propagator, response
+from kernel.numerics.oscillator import SHORT, propagator, response
+from kernel.params import Cell
 
 STUCK, HOP, CHATTER, STICKS, TAKES_OFF = (ord(letter) for letter in "Shcsz")
 CONTACT, FLIGHT, BELOW = (ord(letter) for letter in "CFb")
@@ -122,14 +124,9 @@ def _fall(spring: Any, t: float) -> Fall:
             double += last * power * t * t / ((n + 1) * (n + 2))
         s_int, s_int2 = 0.5 * t * t + s_int_rest, t * t * t / 6.0 + double
     sin_rest, cos_rest = t - sin, versine - 0.5 * t * t
-    if t < _SHORT:
-        sin_rest, cos_rest, power = 0.0, 0.0, 0.5 * t * t
-        for n in range(3, _TERMS, 2):
-            sign = 1.0 if n % 4 == 3 else -1.0
-            power *= t / n
-            sin_rest += sign * power
-            power *= t / (n + 1)
-            cos_rest -= sign * power
+    if t < SHORT:
+        sin_rest, cos_rest = remainders(t)
+        cos_rest = -cos_rest
     return Fall(c, s, s1, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine)
 
 
@@ -261,14 +258,12 @@ def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
     """A landing: the upper mass keeps its velocity, so that q' gains what gap' loses."""
     if letter == STUCK:
         return 0.0
-    e = spring.restitution
-    kept = e if letter == HOP else 0.0
-    hop = -e * x[0, 1]
+    kept = spring.restitution if letter == HOP else 0.0
     z = _get(x, 0)
     value = Motion(0.0, 0.0, z.q, z.q1 + z.gap1, z.cos, z.sin, 1.0)
     force = _force(spring, value)
     if letter == CHATTER:
-        _rest_of_chatter(spring, hop, value, x)
+        _rest_of_chatter(spring, value, x)
         return force
     for j in range(len(x)):
         z = _get(x, j)
@@ -277,32 +272,26 @@ def _rigid_reset(spring: Spring, letter: int, x: Any) -> float:
 
 
 @jit
-def _rest_of_chatter(spring: Spring, hop: float, value: Motion, x: Any) -> None:
-    """Carry the rows of x to the end of the chatter that begins with `hop`.
+def _rest_of_chatter(spring: Spring, value: Motion, x: Any) -> None:
+    """Carry the rows of x, at a landing, to the end of the chatter that begins there.
 
-    value: the state if the mass stuck at once. The rest of the chatter adds a function of hop, n and n'
-    (`kernel.models.rigid`), which is differentiated here.
+    value: the state if the mass stuck at once. The rest adds a function of the first hop, n and n', as in
+    `kernel.models.rigid`.
     """
     b, w, e = spring.dashpot, spring.stiffness, spring.restitution
-    hop = max(hop, _SHORTEST)
+    hop = max(-e * x[0, 1], _SHORTEST)
     n = _force(spring, value)
     n1 = _force(spring, _sticking(spring, value)) + b * n
-    area, moment = chatter_lift(hop, n, n1, e)
-    centre = hop / (n * (1.0 - e)) * (1.0 - e + e * e) / (1.0 + e * e)
-    whole = moment / centre  # of a constant n
+    lift = chatter_lift(hop, n, n1, e)
     for j in range(len(x)):
         z = _get(x, j)
         stuck = Motion(0.0, 0.0, z.q, z.q1 + z.gap1, z.cos, z.sin, z.unit)
-        more, later = area, moment
         if j > 0:
-            d_n = _force(spring, stuck)
-            d_n1 = _force(spring, _sticking(spring, stuck)) + b * d_n
-            d_hop, d_n = -e * z.gap1 / hop, d_n / n  # relative
-            more = (3.0 * d_hop - 2.0 * d_n) * area - whole * centre / n * (n1 * (d_hop - 2.0 * d_n) + d_n1)
-            later = (4.0 * d_hop - 3.0 * d_n) * moment
-        q = stuck.q + b * more - (w - b * b) * later
-        q1 = stuck.q1 + (w - b * b) * more + b * (2.0 * w - b * b) * later
-        _put(x, j, Motion(0.0, 0.0, q, q1, z.cos, z.sin, z.unit))
+            dn = _force(spring, stuck)
+            dn1 = _force(spring, _sticking(spring, stuck)) + b * dn
+            lift = chatter_lift_variation(hop, n, n1, e, -e * z.gap1, dn, dn1)
+        more, more1 = chatter_push(b, w, *lift)
+        _put(x, j, Motion(0.0, 0.0, stuck.q + more, stuck.q1 + more1, z.cos, z.sin, z.unit))
 
 
 @letter_of.register(Spring)
@@ -333,29 +322,12 @@ def _soft_move(spring: SoftSpring, letter: int, before: int, t: float, x: Any) -
     sin, cos = sincos(t)
     for j in range(len(x)):
         z = _get(x, j)
-        gap, gap1, q, q1 = _forced(spring, z.cos, z.sin, z.unit)
+        gap, gap1, q, q1 = forced(spring, z.cos, z.sin, z.unit)
         m = separate(spring, State(z.gap - gap, z.gap1 - gap1, z.q - q, z.q1 - q1))
         free = combine(spring, m, gap_over, elongation_over)
         c, s = _turned(z, sin, cos)
-        gap, gap1, q, q1 = _forced(spring, c, s, z.unit)
+        gap, gap1, q, q1 = forced(spring, c, s, z.unit)
         _put(x, j, Motion(free.gap + gap, free.gap1 + gap1, free.q + q, free.q1 + q1, c, s, z.unit))
-
-
-@inlined
-def _forced(s: SoftSpring, cos: float, sin: float, unit: float) -> State:
-    """The static and driven parts in contact."""
-    return State(
-        s.static_gap * unit + s.g_re * cos - s.g_im * sin,
-        -(s.g_re * sin + s.g_im * cos),
-        s.static_elongation * unit + s.q_re * cos - s.q_im * sin,
-        -(s.q_re * sin + s.q_im * cos),
-    )
-
-
-@inlined
-def _push(s: SoftSpring, z: Motion) -> float:
-    """n in contact."""
-    return -(s.kappa * z.gap + s.beta * z.gap1)
 
 
 @rate.register(SoftSpring)
@@ -363,7 +335,7 @@ def _push(s: SoftSpring, z: Motion) -> float:
 def _soft_rate(spring: SoftSpring, letter: int, z: Motion) -> Motion:
     """As in flight; in contact n also pushes the lower mass up, and so shortens the spring."""
     f = _falling(spring, z)
-    n = _push(spring, z) if letter == CONTACT else 0.0
+    n = plate_force(spring.kappa, spring.beta, z.gap, z.gap1) if letter == CONTACT else 0.0
     return Motion(f.gap, f.gap1 + n, f.q, f.q1 - n, f.cos, f.sin, 0.0)
 
 
@@ -372,9 +344,10 @@ def _soft_rate(spring: SoftSpring, letter: int, z: Motion) -> Motion:
 def _soft_event(spring: SoftSpring, letter: int, z: Motion) -> float:
     if letter == FLIGHT:
         return z.gap
+    force = plate_force(spring.kappa, spring.beta, z.gap, z.gap1)
     if letter == BELOW:
-        return -_push(spring, z)
-    return -z.gap if spring.adhesive else _push(spring, z)
+        return -force
+    return -z.gap if spring.adhesive else force
 
 
 @reset.register(SoftSpring)
@@ -552,15 +525,15 @@ def _event_after(
     return value, slope, event(spring, letter, rate(spring, letter, now))
 
 
-def simulated(
-    plate: Any, gamma: float, omega: float, xi: float, phi: float, state: State, span: float, most: int
-) -> tuple[str, Any, Any]:
-    """The kernel's segments from a state (plate amplitudes) at phase phi, over `span` rad, at most `most`.
+def simulated(plate: Any, cell: Cell, state: Any, span: float, most: int) -> tuple[str, Any, Any]:
+    """The kernel's segments from a state (6,), as STATE_FIELDS, over `span` rad, at most `most`.
 
     Returns letters (n,), durations (n,), rad, and states (n + 1, 4) at each beginning and at the end, without
     the segment that `span` cuts off.
     """
-    letters, times, states = _simulated(plate, gamma, omega, xi, phi, state, span, most)
+    gamma, omega, xi = map(float, cell)
+    phi, _, *rest = map(float, state)
+    letters, times, states = _simulated(plate, gamma, omega, xi, phi, State(*rest), span, most)
     return letters.tobytes().decode(), times, states
 
 

@@ -88,7 +88,7 @@ def free(a: Number, w: Number, t: Array) -> Free:
     if np.real(d) < 0.0:
         root = np.sqrt(-d)
         angle = root * t
-        s = decay * np.sin(angle) / (root if d != 0.0 else 1.0)
+        s = decay * np.sin(angle) / root
         c = decay * np.cos(angle) + a * s
     else:
         root = np.sqrt(d)

@@ -23,13 +23,6 @@ class CycleStart(NamedTuple):
     cycle: Branch
 
 
-class GammaRange(NamedTuple):
-    """A range of Gamma in which a branch has a stable admissible cycle."""
-
-    low: float
-    high: float
-
-
 def cycles_at(cell: Cell, periods: int) -> Branch:
     """The cycles (1, periods) of the closed form at a cell, by flight time. Raises KernelInputError."""
     gamma, omega, xi = cell
@@ -66,7 +59,7 @@ def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> CycleStart |
     return _start(cell, line, int(np.argmin(np.abs(line.flight_time - flight_time))))
 
 
-def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
+def stable_ranges(omega: float, xi: float, periods: int) -> list[tuple[float, float]]:
     """Ranges of Gamma with a stable admissible cycle (1, periods), to the resolution of the branch's grid.
 
     Raises KernelInputError.
@@ -74,7 +67,7 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[GammaRange]:
     with np.errstate(all="ignore"):
         line = branch(omega, xi, periods, flight_times(omega, xi, periods))
     ranges = [line.gamma[low:high] for low, high in stretches(line.stable & (line.violations == 0))]
-    return [GammaRange(float(gamma.min()), float(gamma.max())) for gamma in ranges]
+    return [(float(gamma.min()), float(gamma.max())) for gamma in ranges]
 
 
 def _start(cell: Cell, line: Branch, i: int) -> CycleStart:

@@ -49,16 +49,17 @@ NOT_SEARCHED: Final = "not searched"
 
 
 class Thresholds(NamedTuple):
-    """The thresholds of a spring under a plate."""
+    """The thresholds of a spring under a plate; by default not decided."""
 
     omega: float
     xi: float
     gamma_th: float  # Eq. 25: rest ends on the way up
-    jump: float  # the fold at which flights leap on the way up; NaN if there is none
-    down: float  # Gamma_down, the lowest at which bouncing persists; NaN if not decided
-    cause: str  # "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
-    reason: str  # why it is not decided, or empty
-    fold: Fold | None  # at `down`
+    jump: float = math.nan  # the fold at which flights leap on the way up; NaN if there is none
+    down: float = math.nan  # Gamma_down, the lowest at which bouncing persists; NaN if not decided
+    #: "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
+    cause: str = UNRESOLVED
+    reason: str = ""  # why it is not decided
+    fold: Fold | None = None  # at `down`
 
 
 def thresholds(
@@ -97,7 +98,7 @@ def conjecture(
     if cycles or not rule.decides:
         from kernel.cycles import descent  # noqa: PLC0415 - imports numba
 
-        solved = partial(descent.solved, descent.ideal_plate(), omega, xi)
+        solved = partial(descent.solved, omega, xi)
         folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(solved(flip), gamma_th))]
         lowest = _lowest(folds, gamma_th)
         last = [cycle for cycle in rule.last if cycle.gamma < lowest]
@@ -105,8 +106,7 @@ def conjecture(
         for cycle, end in zip(last, ends, strict=True):
             folds = [fold for fold in folds if end.fold is None or not cycle.leads_to(fold)]
         ends += map(descent.descend, cycles)
-    undecided = Thresholds(omega, xi, gamma_th, rule.jump, math.nan, UNRESOLVED, "", None)
-    return lowest_end(undecided, folds, ends, bouncing)
+    return lowest_end(Thresholds(omega, xi, gamma_th, rule.jump), folds, ends, bouncing)
 
 
 def lowest_end(

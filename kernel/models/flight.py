@@ -35,7 +35,7 @@ HOP_VARIATION: Final = 0.15
 
 
 @jit
-def _remainders(tau: float) -> tuple[float, float]:
+def remainders(tau: float) -> tuple[float, float]:
     """tau - sin(tau) and tau^2/2 - 1 + cos(tau) for |tau| < SHORT, by their power series."""
     t = tau * tau
     odd = 1.0 / 39916800.0 - t / 6227020800.0
@@ -165,7 +165,7 @@ def _soon_after(
 ) -> tuple[float, float, float, float, float, float]:
     """sin and cos of the plate's phase, gap, gap', q and q' at tau by power series, from q'' and q'''."""
     drag, pull = -2.0 * p.osc.damping, -p.osc.stiffness
-    odd, even = _remainders(tau)
+    odd, even = remainders(tau)
     half = 0.5 * tau * tau
     sine, versine = tau - odd, half - even
     # q and q' without the terms that gap'' has

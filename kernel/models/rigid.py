@@ -82,7 +82,6 @@ class Stuck(NamedTuple):
 @interface.prepare.register(RigidPlate)
 @jit
 def _prepare(plate: RigidPlate, i: int, gamma: float, omega: float, xi: float) -> Spring:
-    """The constants of cell i."""
     stiffness = 1.0 / (omega * omega)
     dashpot = 2.0 * xi / omega
     near = hypot(stiffness - 1.0, dashpot) < NEAREST_RESONANCE
@@ -119,7 +118,6 @@ def normal_force(s: Spring, cos: float, q: float, q1: float) -> float:
 @interface.contact_force.register(Spring)
 @jit
 def _contact_force(s: Spring, phi: PlatePhase, state: State) -> float:
-    """n in contact."""
     return normal_force(s, phi.cos, state.q, state.q1)
 
 
@@ -302,18 +300,16 @@ def _load_flight(table: Any, k: int, s: Spring, run: Progress, phi: PlatePhase, 
 @interface.load_lane.register(Spring)
 @inlined
 def _load(s: Spring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
-    """Put the run's next phase into lane k, if lanes support its oscillators."""
     if run.in_flight:
         loaded = _load_flight(table, k, s, run, phi, horizon)
     else:
         loaded = _load_contact(table, k, s, run, phi, horizon)
-    return loaded and lanes.supports(s.stuck) and lanes.supports(s.flight)
+    return loaded and lanes.supports(s.stuck)  # and so the stiffer one of the flight
 
 
 @interface.unload_lane.register(Spring)
 @inlined
 def _unload(s: Spring, table: Any, k: int, run: Progress) -> tuple[Phase, PlatePhase]:
-    """The phase that ended in lane k, and the plate's phase there."""
     tau, ending, used = lanes.search_end(table, k)
     phi = lanes.plate_at_end(table, k)
     if not run.in_flight:

@@ -75,14 +75,12 @@ class Recontact(NamedTuple):
 @interface.prepare.register(SoftPlate)
 @jit
 def _prepare(plate: SoftPlate, i: int, gamma: float, omega: float, xi: float) -> SoftSpring:
-    """The constants of cell i."""
     return soft_spring(gamma, omega, xi, plate.restitution[i], plate.penetration[i], plate.adhesive)
 
 
 @interface.contact_force.register(SoftSpring)
 @jit
 def _contact_force(s: SoftSpring, phi: PlatePhase, state: State) -> float:
-    """n in contact."""
     return plate_force(s.kappa, s.beta, state.gap, state.gap1)
 
 
@@ -342,7 +340,6 @@ def _load_flight(s: SoftSpring, table: Any, k: int, run: Progress, phi: PlatePha
 @interface.load_lane.register(SoftSpring)
 @inlined
 def _load(s: SoftSpring, table: Any, k: int, run: Progress, phi: PlatePhase, horizon: float) -> bool:
-    """Put the run's next phase into lane k."""
     if run.in_flight:
         return _load_flight(s, table, k, run, phi, horizon)
     return _load_contact(s, table, k, run, phi, horizon)
@@ -351,7 +348,6 @@ def _load(s: SoftSpring, table: Any, k: int, run: Progress, phi: PlatePhase, hor
 @interface.unload_lane.register(SoftSpring)
 @jit
 def _unload(s: SoftSpring, table: Any, k: int, run: Progress) -> tuple[Phase, PlatePhase]:
-    """The phase that ended in lane k, and the plate's phase there."""
     tau, ending, used = lanes.search_end(table, k)
     phi = lanes.plate_at_end(table, k)
     if run.in_flight:

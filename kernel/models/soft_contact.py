@@ -353,14 +353,21 @@ def combine(
 
 
 @inlined
+def forced(s: SoftSpring, cos: float, sin: float, unit: float) -> State:
+    """The static part times `unit`, and the driven part, (cos, sin) being the plate's motion."""
+    return State(
+        s.static_gap * unit + s.g_re * cos - s.g_im * sin,
+        -(s.g_re * sin + s.g_im * cos),
+        s.static_elongation * unit + s.q_re * cos - s.q_im * sin,
+        -(s.q_re * sin + s.q_im * cos),
+    )
+
+
+@inlined
 def modes_of(s: SoftSpring, phi: PlatePhase, state: State) -> ModalState:
     """The free modes of a state at phi: the motion without its static and driven parts."""
-    gap, gap1, q, q1 = state
-    q -= s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin
-    q1 += s.q_re * phi.sin + s.q_im * phi.cos
-    gap -= s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin
-    gap1 += s.g_re * phi.sin + s.g_im * phi.cos
-    return separate(s, State(gap, gap1, q, q1))
+    gap, gap1, q, q1 = forced(s, phi.cos, phi.sin, 1.0)
+    return separate(s, State(state.gap - gap, state.gap1 - gap1, state.q - q, state.q1 - q1))
 
 
 @inlined
@@ -369,13 +376,9 @@ def state_of(
     elongation_over: tuple[float, float, float],
 ) -> State:  # fmt: skip
     """The state at phi, from the modes `m` before and the propagators over the time since."""
-    gap, gap1, q, q1 = combine(s, m, gap_over, elongation_over)
-    return State(
-        s.static_gap + s.g_re * phi.cos - s.g_im * phi.sin + gap,
-        -(s.g_re * phi.sin + s.g_im * phi.cos) + gap1,
-        s.static_elongation + s.q_re * phi.cos - s.q_im * phi.sin + q,
-        -(s.q_re * phi.sin + s.q_im * phi.cos) + q1,
-    )
+    gap, gap1, q, q1 = forced(s, phi.cos, phi.sin, 1.0)
+    free = combine(s, m, gap_over, elongation_over)
+    return State(gap + free.gap, gap1 + free.gap1, q + free.q, q1 + free.q1)
 
 
 @inlined

@@ -215,14 +215,12 @@ def plate(
 @contact_force.register(SteppedSpring)
 @jit
 def _contact_force(s: SteppedSpring, phi: PlatePhase, state: State) -> float:
-    """n in contact."""
     return plate_force(s.contact.kappa, s.contact.beta, state.gap, state.gap1)
 
 
 @prepare.register(SteppedPlate)
 @jit
 def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float) -> SteppedSpring:
-    """The constants of cell i."""
     kappa, beta = contact_constants(plate.penetration[i], plate.damping[i])
     w, b = 1.0 / (omega * omega), 2.0 * xi / omega
     static_gap, static_elongation = static_state(gamma, w, kappa)

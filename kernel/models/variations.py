@@ -42,12 +42,6 @@ def _put(vectors: Any, k: int, g: float, g1: float, q: float, q1: float) -> None
 
 
 @inlined
-def _forget(vectors: Any) -> None:
-    """Set all variations to zero: the motions end in the same state."""
-    vectors[:] = 0.0
-
-
-@inlined
 def _oscillate(osc: Oscillator, c: float, s: float, s1: float, x: float, x1: float) -> tuple[float, float]:
     """x and x' of a free motion after a time at which `response` is c, s, s1."""
     return x * c + x1 * s, x1 * s1 - osc.stiffness * s * x
@@ -221,7 +215,7 @@ def _ball_dimension(plate: BallPlate) -> int:
 @jit
 def _ball_contact(b: Ball, vectors: Any, contact: Any) -> None:
     """A ball at rest on the plate has no state to vary."""
-    _forget(vectors)
+    vectors[:] = 0.0
 
 
 @interface.carry_in_flight.register(Ball)
@@ -244,7 +238,7 @@ def _ball_landing_error(b: Ball, phi: PlatePhase, state: State, tau: float) -> f
 def _ball_landing(b: Ball, vectors: Any, phi: PlatePhase, state: State, end: Phase) -> None:
     """A hop, or with a hop of velocity zero a new take-off at once; else the ball comes to rest."""
     if not end.in_flight:
-        _forget(vectors)
+        vectors[:] = 0.0
         return
     if end.state.gap1 > 0.0:
         e, impact = b.restitution, -end.state.gap1 / b.restitution

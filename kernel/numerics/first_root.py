@@ -62,9 +62,8 @@ class Terms(NamedTuple):
 
 
 @by_type
-def terms(phase: Any, tau: float) -> Terms:
+def terms(phase: Any, tau: float) -> Terms:  # type: ignore[empty-body]
     """The phase function `tau` rad into `phase`."""
-    raise TypeError(f"no phase function for {type(phase).__name__}")
 
 
 @inlined
@@ -153,30 +152,11 @@ def householder(f0: float, f1: float, f2: float, f3: float, f4: float) -> tuple[
 
 
 @inlined
-def polish_step(
-    low: float, high: float, tau: float, f0: float, f1: float, step: float, error: float, noise: float
-) -> tuple[float, float, float, bool]:
-    """One decision of the root polisher: (low, high, step, done) after F was evaluated at `tau`.
-
-    F > 0 at `low` and <= 0 at `high` (rad). Householder's `step` is taken if F falls at tau and it stays in
-    the bracket; otherwise that is halved, so that the search ends whatever F does. Done where the error is
-    rounding, or no number is left between the ends. The zero is at tau + step, clipped to the bracket.
-    """
-    done = f1 < 0.0 and (error <= EPS * (tau + step) or abs(f0) <= noise)
-    if f0 > 0.0:
-        low = tau
-    else:
-        high = tau
-    if not done and not (f1 < 0.0 and low <= tau + step <= high):
-        step = 0.5 * (low + high) - tau
-        done = not low < tau + step < high
-    return low, high, step, done
-
-
-@inlined
 def polish(phase: Any, low: float, high: float, tau: float, budget: int) -> tuple[float, int, int]:
     """The zero in [low, high] where F falls from positive to negative, from a first guess `tau`.
 
+    Householder's step is taken if F falls at tau and it stays in the bracket; otherwise that is halved, so
+    that the search ends whatever F does: where the error is rounding, or no number is left between the ends.
     Times in rad from the start of the phase. Returns (tau, ROOT, evaluations used), or NON_FINITE or,
     after `budget` evaluations, BUDGET_EXHAUSTED in ROOT's place. Two or three evaluations are usual.
     """
@@ -186,7 +166,14 @@ def polish(phase: Any, low: float, high: float, tau: float, budget: int) -> tupl
         if not math.isfinite(f0):
             return tau, NON_FINITE, used
         step, error = householder(f0, f1, t.smooth2 + t.ring2, t.smooth3 + t.ring3, t.smooth4 + t.ring4)
-        low, high, step, done = polish_step(low, high, tau, f0, f1, step, error, t.noise)
+        done = f1 < 0.0 and (error <= EPS * (tau + step) or abs(f0) <= t.noise)
+        if f0 > 0.0:
+            low = tau
+        else:
+            high = tau
+        if not done and not (f1 < 0.0 and low <= tau + step <= high):
+            step = 0.5 * (low + high) - tau
+            done = not low < tau + step < high
         tau = min(max(tau + step, low), high)
         if done:
             return tau, ROOT, used

@@ -27,17 +27,6 @@ def multiply(a: Any, b: Any, product: Any) -> None:
 
 
 @jit
-def multiply_transposed(a: Any, b: Any, product: Any) -> None:
-    """Overwrite `product` with a^T b, four columns at once."""
-    for i in range(4):
-        x, y, z, w = 0.0, 0.0, 0.0, 0.0
-        for k in range(4):
-            x, y = x + a[k, i] * b[k, 0], y + a[k, i] * b[k, 1]
-            z, w = z + a[k, i] * b[k, 2], w + a[k, i] * b[k, 3]
-        product[i, 0], product[i, 1], product[i, 2], product[i, 3] = x, y, z, w
-
-
-@jit
 def transpose(a: Any, transposed: Any) -> None:
     """Overwrite `transposed` with a^T."""
     for i in range(4):
@@ -172,12 +161,13 @@ def contracting_norm(a: Any, r: float, q: Any) -> None:
 
     q is the sum of (a^T/r)**j (a/r)**j over all j, summed by doubling the number of terms.
     """
-    power, product, added = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    power, transposed, product, added = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     set_identity(q)
     scale_to(a, 1.0 / r, power)
     for _ in range(DOUBLINGS):
         multiply(q, power, product)
-        multiply_transposed(power, product, added)
+        transpose(power, transposed)
+        multiply(transposed, product, added)
         for i in range(4):
             for j in range(4):
                 q[i, j] += added[i, j]

@@ -227,20 +227,21 @@ def _compared(
     true, undecided = reference(spec, cells, starts, contact)
     stored = _stored(spec, url, grid, drawn)
     apart = deviations(true, stored, spec.micro_flight)
-    label, true_label = _labels(spec, stored, 1), _labels(spec, true, LONGER)
+    modes, true_modes = _modes(spec, stored, 1), _modes(spec, true, LONGER)
     for i, cell in enumerate(drawn):
         own = cell.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][cell.indices]))
-        yield (
-            SETS.index(cell.set), cell.unit, cell.indices[0], *cells[i],
-            *(int(getattr(stored, name)[i]) for name in schema.MODE_ARRAYS), int(label[i]),
-            *(int(getattr(true, name)[i]) for name in schema.MODE_ARRAYS), int(true_label[i]),
-            _field(float(apart[i])) if own else None, bool(undecided[i]),
-        )  # fmt: skip
+        deviation = float(apart[i]) if own else np.nan
+        yield _row(cell, cells[i], modes[i], true_modes[i], deviation, bool(undecided[i]))
 
 
-def _field(deviation: float) -> float | None:
-    """A deviation as FIELDS has it, which are stored as JSON."""
-    return None if np.isnan(deviation) else deviation if np.isfinite(deviation) else -1.0
+def _row(
+    drawn: _Drawn, cell: Cell, mode: tuple[int, ...], true_mode: tuple[int, ...], deviation: float,
+    undecided: bool,
+) -> tuple[Any, ...]:  # fmt: skip
+    """The values of FIELDS, which are stored as JSON; modes as of `_modes`, NaN: no deviation."""
+    field = None if np.isnan(deviation) else deviation if np.isfinite(deviation) else -1.0
+    place = SETS.index(drawn.set), drawn.unit, drawn.indices[0]
+    return *place, *cell, *mode, *true_mode, field, undecided
 
 
 def reference(
@@ -332,17 +333,8 @@ def _stepped(
         extrapolated = fine + (fine - coarse) / ((STEPS[1] / STEPS[0]) ** 2 - 1.0)
         deviation = (nearest if part else sorted_apart)(extrapolated, own)
         decided = bool(np.max(np.abs(fine - coarse), initial=0.0) <= tolerance)
-    mode = (int(stored.outcome[0]), bounces, int(stored.periods[0]), int(_labels(spec, stored, 1)[0]))
-    return (
-        SETS.index(drawn.set),
-        drawn.unit,
-        drawn.indices[0],
-        *cell,
-        *mode,
-        *mode,
-        _field(deviation),
-        not decided,
-    )
+    [mode] = _modes(spec, stored, 1)
+    return _row(drawn, cell, mode, mode, deviation, not decided)
 
 
 def _last(line: Line, micro_flight: float, bounces: int) -> _Array:
@@ -388,8 +380,10 @@ def _stored(spec: SweepSpec, url: str, grid: dict[str, _Array], drawn: Sequence[
     return empty_line(len(drawn), spec.keep, spec.exponents)._replace(**records, **modes)
 
 
-def _labels(spec: SweepSpec, line: Line, longer: int) -> NDArray[np.uint8]:
-    """The labels of cells; their outcomes in a sweep without exponents."""
-    if not line.lyapunov.shape[1]:
-        return line.outcome
-    return label_codes(line.outcome, line.lyapunov, line.lyapunov_error, longer * spec.observe)
+def _modes(spec: SweepSpec, line: Line, longer: int) -> list[tuple[int, ...]]:
+    """Outcome, bounces, periods and label of each cell; without exponents the outcome is the label."""
+    label = line.outcome
+    if line.lyapunov.shape[1]:
+        label = label_codes(line.outcome, line.lyapunov, line.lyapunov_error, longer * spec.observe)
+    arrays = (*(getattr(line, name) for name in schema.MODE_ARRAYS), label)
+    return list(zip(*(array.tolist() for array in arrays), strict=True))

@@ -74,7 +74,9 @@ def decides(omega: float, xi: float) -> bool:
 def predict(omega: float, xi: float) -> Thresholds:
     """As `thresholds`, for omega > 0 and xi >= 0; also `unresolved` if the branches cannot be searched."""
     reason = _why_not(omega, xi)
-    return of_contact(Rigid(), omega, xi) if reason is None else _undecided(omega, xi, reason)
+    if reason is not None:
+        return Thresholds(omega, xi, float(threshold(omega, xi)), reason=reason)
+    return of_contact(Rigid(), omega, xi)
 
 
 def predict_each(omega: tuple[float, ...], xi: float) -> list[Thresholds]:
@@ -145,9 +147,4 @@ def of_contact(
         with np.errstate(all="ignore"):  # an undamped spring may have poles
             return thresholds(omega, xi, cycles, bouncing)
     except KernelInputError as error:
-        return _undecided(omega, xi, str(error))
-
-
-def _undecided(omega: float, xi: float, reason: str) -> Thresholds:
-    gamma_th = float(threshold(omega, xi))
-    return Thresholds(omega, xi, gamma_th, math.nan, math.nan, UNRESOLVED, reason, None)
+        return Thresholds(omega, xi, float(threshold(omega, xi)), reason=str(error))

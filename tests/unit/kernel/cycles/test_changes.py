@@ -49,7 +49,7 @@ def test_the_doubled_cycles_of_figure_2():
     flips = [event.point for event in events if event.kind is Kind.FLIP]
     assert gammas(events, Kind.FLIP)[:2] == pytest.approx(two["flip"], abs=1e-8)
     change = next(event for event in events if event.kind is Kind.GRAZE_CONTACT)
-    assert (len(change.letters), change.point.letters) == (2, "Ss")
+    assert (len(line[change.after + 1].letters), change.point.letters) == (2, "Ss")
     assert line[-1].cycles.periods == 2
     _, events = follow(doubled(flips[0]), 1.0, span=(1.0, 4.0))
     assert gammas(events, Kind.FLIP)[: len(four["flip"])] == pytest.approx(four["flip"], abs=1e-9)
