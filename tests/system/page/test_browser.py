@@ -1166,5 +1166,5 @@ def test_the_page_takes_the_token_of_the_opened_address(
             dialog.get_by_text("does not accept this access token").wait_for()
             screenshot(page, "token")
             page.goto(f"{address}/#token={token}")  # an address that is pasted
-            page.evaluate("location.reload()")
+            dialog.wait_for(state="hidden")
             page.get_by_text("No sweeps yet").wait_for()
