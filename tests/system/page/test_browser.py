@@ -170,6 +170,9 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         assert 1 <= int(cells) < 120
         coarsest.get_by_role("button", name="Use draft").click()
         page.locator(".cost").filter(has_text=f"{cells} cells").wait_for()
+        page.get_by_label("Time", exact=True).fill("0.000001s")
+        page.get_by_role("button", name="Compare settings").click()
+        page.get_by_text("Note: no setting surely keeps to a budget of 1e-06 s").wait_for()
 
 
 def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: str, loop: str):
@@ -1166,5 +1169,5 @@ def test_the_page_takes_the_token_of_the_opened_address(
             dialog.get_by_text("does not accept this access token").wait_for()
             screenshot(page, "token")
             page.goto(f"{address}/#token={token}")  # an address that is pasted
-            page.evaluate("location.reload()")
+            dialog.wait_for(state="hidden")
             page.get_by_text("No sweeps yet").wait_for()

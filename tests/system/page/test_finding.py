@@ -153,6 +153,12 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         page.get_by_role("link", name="Sweeps", exact=True).click()  # all of them
         page.get_by_text("1 to 25 of 28").wait_for()
         assert page.get_by_label("Find", exact=True).input_value() == ""
+        page.get_by_role("button", name="Next page").click()
+        page.get_by_text("26 to 28 of 28").wait_for()
+        page.get_by_label("Select all shown").check()
+        page.once("dialog", lambda dialog: dialog.accept())
+        page.locator(".selection").get_by_role("button", name="Delete").click()
+        wait_for(lambda: len(_names(page)) == 25)  # the page before
 
 
 def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: list[str], tmp_path: Path):

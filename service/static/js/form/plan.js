@@ -35,7 +35,7 @@ export class Plan {
     const within = workButton("Compute within it", computeWithin, this.problem.show);
     this.table = h("div", { hidden: true });
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
-      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
+      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong; a note says where none surely does. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), compare, within), this.problem.element, this.table);
   }
 
@@ -51,10 +51,11 @@ export class Plan {
     const { signal } = this.comparing;
     const plan = await requestDataset(`/v1/plans?${query({ budget: seconds(this.budget.value) })}`, { method: "POST", body: this.read(), signal, waits: true });
     const rows = partsOf(plan, "setting");
-    this.table.replaceChildren(this.#rows(rows));
+    const { note } = plan.attrs;
+    this.table.replaceChildren(h("div", {}, this.#rows(rows), note && h("p", { className: "note" }, `Note: ${note}.`)));
     this.table.hidden = false;
     const { effort, grid, high } = rows.find(({ recommended }) => recommended);
-    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong.`);
+    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong${note ? `; ${note}` : ""}.`);
   }
 
   #rows(rows) {

@@ -14,12 +14,13 @@ const TOKEN_KEY = "bounce-token";
 export const hasToken = () => sessionStorage.getItem(TOKEN_KEY) !== null;
 export const setToken = (token) => sessionStorage.setItem(TOKEN_KEY, token.replace(/[^!-~]/g, "?")); // headers hold no others
 
-/** Keep the token of an address #token=…, as `bounce open` opens it, and remove it from the address. */
+/** Keep the token of an address #token=…, as `bounce open` opens it, remove it from the address, and close the dialog that asks for it. */
 export function takeToken() {
   const token = new URLSearchParams(location.hash.slice(1)).get("token");
   if (token === null) return;
   setToken(token);
   history.replaceState(null, "", "#/");
+  document.getElementById("token")?.close("given");
 }
 
 const RETRY_S = 1; // without a Retry-After

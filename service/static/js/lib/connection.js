@@ -36,10 +36,10 @@ export function watchConnection(onRestored) {
     dialog.returnValue = "";
     dialog.showModal();
   });
+  const input = dialog.querySelector("input");
+  dialog.addEventListener("submit", () => setToken(input.value.trim()));
   dialog.addEventListener("close", () => {
     if (!dialog.returnValue) return dialog.showModal(); // after Escape: nothing can be shown
-    const input = dialog.querySelector("input");
-    setToken(input.value.trim());
     input.value = "";
     onRestored();
   });

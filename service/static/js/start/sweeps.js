@@ -73,6 +73,10 @@ export class SweepList {
         request({ pinned: this.hasManyPinned ? null : false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
       if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
+      if (!others.jobs.length && this.cursors.length > 1) { // all of this page were deleted
+        this.cursors = this.cursors.slice(0, -1);
+        return this.refresh();
+      }
       const hasManyPinned = pinned.total > MAX_PINNED;
       if (hasManyPinned !== this.hasManyPinned) {
         Object.assign(this, { hasManyPinned, cursors: [null] });
