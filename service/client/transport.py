@@ -302,12 +302,12 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
     status, request = response.status_code, response.request
     if status < 400:
         raise UnexpectedAnswer(f"{request.url} answered {status}: not a bounce service")
+    answer = f"{status} {response.reason_phrase}"
+    if status in (HTTPStatus.BAD_GATEWAY, HTTPStatus.GATEWAY_TIMEOUT):  # as without the proxy
+        raise Unanswered(str(request.url), f"a proxy said {answer}: repeat the request")
     try:
         document = json_object(response)
     except UnexpectedAnswer:  # a proxy answers in HTML
-        answer = f"{status} {response.reason_phrase}"
-        if status in (HTTPStatus.BAD_GATEWAY, HTTPStatus.GATEWAY_TIMEOUT):  # as without the proxy
-            raise Unanswered(str(request.url), f"a proxy said {answer}: repeat the request") from None
         document = {"detail": f"{request.url} answered {answer}"}
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)

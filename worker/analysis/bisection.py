@@ -154,8 +154,12 @@ def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], to
                 edge = (bracket.bouncing, bracket.resting) if down else (bracket.resting, bracket.bouncing)
                 result = _refine_line(spec, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
-    values, statuses = zip(*(zip(*results[name], strict=True) for name in ("up", "down")), strict=True)
-    return Refined(*values, *statuses)
+    return Refined(
+        tuple(value for value, _ in results["up"]),
+        tuple(value for value, _ in results["down"]),
+        tuple(status for _, status in results["up"]),
+        tuple(status for _, status in results["down"]),
+    )
 
 
 def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:

@@ -435,6 +435,17 @@ def test_the_page_waits_for_a_busy_service_and_says_so(browser: Any, address: st
             assert page.locator(".problem:visible").count() == 0
 
 
+def test_an_error_is_shown_until_the_service_answers_again(browser: Any, address: str, loop: str):
+    failing = {"status": 500, "json": {"detail": "a disk is full"}}
+    with opened(browser, view(address, loop), expected=("500",)) as page:
+        wait_shown(page, along="gamma")
+        page.route(f"**/v1/jobs/{loop}", lambda route: route.fulfill(**failing), times=1)
+        page.evaluate(_RETURN)
+        problem = page.locator("header.job + .problem", has_text="a disk is full")
+        problem.wait_for()
+        problem.wait_for(state="hidden")
+
+
 # The views of a sweep
 
 

@@ -68,7 +68,8 @@ export class JobView {
     if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
     const isSame = JSON.stringify(job) === JSON.stringify(this.job);
     this.job = Object.assign(this.job ?? {}, job); // the views have it too
-    if (!isSame || redraw) this.#describe(); // else the problem of an action stays
+    if (!isSame || redraw || this.hasFailed) this.#describe(); // else the problem of an action stays
+    this.hasFailed = false;
     if (isFirst) this.show();
     else if (hasChanged || redraw) [this.view, this.beside].forEach((view) => view?.update(this.job));
     if (redraw && !isFirst) this.#showSelectedCell(); // its request may have failed
@@ -94,6 +95,7 @@ export class JobView {
   /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
   #pollFailed(error, redraw) {
     this.problem.show(error);
+    this.hasFailed = true;
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
     this.leaving?.abort();

@@ -327,7 +327,8 @@ def test_an_unchanged_job_is_requested_by_its_etag():
 
 def test_a_wait_outlives_a_restart_of_the_service(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(transport, "ASK_DELAY", 0.01)
-    gone = [*[LOST] * 3, Answer(502, b"<html>from a proxy"), Answer(503, {"detail": "starting"})]
+    of_a_proxy = Answer(502, b"<html>"), Answer(504, {"message": "late"})
+    gone = [*[LOST] * 3, *of_a_proxy, Answer(503, {"detail": "starting"})]
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10))) as (_, client):
         assert client.job(ID).wait(progress=False).state == "done"
 
