@@ -120,7 +120,7 @@ def test_a_long_cycle_is_found_again_by_its_representatives():
 
 
 def test_a_certified_long_cycle_is_none_of_the_aperiodic_motion_beside_it():
-    """A quarter of the starts settles so slowly that it seems to leave that motion, which nothing leaves."""
+    """Some of its starts settle so slowly that they seem to leave that motion, which nothing leaves."""
     found = search(2.323, 0.62, 0.08, side=12, height=8.0, model={"kind": "rigid", "restitution": 0.35})
     assert told(found) == [(Outcome.APERIODIC, 0, 0), (Outcome.PERIODIC, 45, 16)]
     assert math.isinf(found.attractors[0].lifetime)
