@@ -52,6 +52,7 @@ def _end(number: int, frame: FrameType | None) -> None:
     end_now = partial(_end_now, 128 + number)
     for other in _SIGNALS:
         signal.signal(other, end_now)
+    sys.unraisablehook = end_now  # Python would only print a SystemExit that interrupts a finalizer
     logging.disable()  # what libraries say of connections that end
     timer = threading.Timer(GRACE_SECONDS, end_now)
     timer.daemon = True

@@ -74,6 +74,22 @@ def test_a_signal_ends_everything(
     assert ended.seconds < 10.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
+def test_a_signal_within_a_finalizer_ends_a_command():
+    """The import system has finalizers, in which Python ignores what is raised."""
+    code = (
+        "import os, signal, threading, time, weakref; from service.cli import entry;"
+        "signal.signal(signal.SIGINT, entry._end);"
+        "owner = threading.Thread();"
+        "reference = weakref.ref(owner, lambda _: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0));"
+        "del owner;"
+        "time.sleep(60)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=DEADLINE
+    )
+    assert (done.returncode, done.stderr.strip()) == (130, "")
+
+
 def test_what_workers_shared_is_removed_without_a_word_whenever_a_command_ends():
     """Ctrl-C may come in the instant between the making of a worker's queues and its start."""
     code = (
