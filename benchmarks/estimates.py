@@ -56,9 +56,9 @@ SPECS: Final[dict[str, dict[str, Any]]] = {
     "rest, slow plate": _PLANE | _rigid() | {"omega": {"start": 0.02, "stop": 0.1, "num": 40}},
     "rest, exponents": _LINE | _rigid() | {"exponents": 1},
     "ramp, rigid": _PLANE | _rigid() | _UP_AND_DOWN,
-    "ramp, rigid, one line": _LINE | _rigid() | _UP_AND_DOWN,
     "ramp, soft": _PLANE | _soft() | _UP_AND_DOWN,
     "ramp, soft, one line": _LINE | _soft() | _UP_AND_DOWN,
+    "ramp, ball, e = 0.7": _PLANE | {"model": {"kind": "ball", "restitution": 0.7}} | _UP_AND_DOWN,
     "map, rigid": _PLANE | _rigid() | {"refine": {"by": "mode"}},
     "basin, rigid": {
         "gamma": [2.0, 3.6], "omega": 0.5, "xi": 0.26,

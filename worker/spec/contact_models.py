@@ -60,6 +60,10 @@ SOFT_ELASTIC_SHARE: Final = 1.2
 #: flights a period, a fast one fewer.
 PERIOD_OMEGA: Final = (0.02, 0.06, 0.2, 0.55, 1.7)
 PERIOD_SHARE: Final = (1.8, 1.4, 1.15, 1.0, 0.4)
+#: Cost of a ball's plate period at these restitutions relative to the mean: from 0.5 on most cells are
+#: aperiodic.
+BALL_RESTITUTION: Final = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99)
+BALL_SHARE: Final = (0.36, 0.73, 1.06, 1.64, 2.55, 3.0, 2.2, 2.1, 1.6)
 
 #: Evaluations per plate period of the busiest cells: HOPS/(1 - e) if chatter follows every landing, and
 #: RINGS/Omega, at most 1/xi, if the spring rings from landing to landing.
@@ -85,7 +89,7 @@ class ContactFields(Strict):
         """Keyword arguments of the kernel module's `plate` for cells (n,)."""
         raise NotImplementedError
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, xi: _Array, *, at_once: int) -> float:
         """Core-microseconds per cell per plate period of a sweep with these axis values.
 
         base: `ContactModel.cost_us`. at_once: cells, or lines of a ramp, computed side by side.
@@ -181,7 +185,7 @@ class Soft(_SoftContact):
 
     kind: Literal["soft"] = "soft"
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, xi: _Array, *, at_once: int) -> float:
         """`base` holds for full lanes and the default penetration."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         decades = float(np.mean(np.log10(DEFAULT_PENETRATION / depths)))
@@ -215,7 +219,7 @@ class Stepped(_SoftContact):
         names = ("steps_per_contact", "scheme", "events")
         return super().plate_arguments(gamma, omega, xi) | {name: getattr(self, name) for name in names}
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, xi: _Array, *, at_once: int) -> float:
         """`base` times the steps per plate period: the geometric mean of the sweep's two ends."""
         depths = penetration_of(self, gamma[[0, -1]], omega[[0, -1]])
         steps = steps_per_period(self.restitution, depths, self.steps_per_contact, adhesive=self.adhesive)
@@ -247,7 +251,7 @@ class Rigid(ContactFields):
     def plate_arguments(self, gamma: _Array, omega: _Array, xi: _Array) -> dict[str, Any]:
         return {"restitution": np.full(np.shape(xi), self.restitution)}
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, xi: _Array, *, at_once: int) -> float:
         """`base` holds for full lanes."""
         alone = RIGID_ALONE_US
         if self.restitution > 0.0:
@@ -279,6 +283,10 @@ class Ball(ContactFields):
         e = spring_restitution(xi) if self.restitution is None else np.full(np.shape(xi), self.restitution)
         return {"restitution": e}
 
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, xi: _Array, *, at_once: int) -> float:
+        e = self.plate_arguments(gamma, omega, xi)["restitution"]
+        return base * float(np.mean(np.interp(e, BALL_RESTITUTION, BALL_SHARE)))
+
 
 class Auto(_SoftContact):
     """The cheapest model within `tolerance` (rad of flight time) of exact soft."""
@@ -298,9 +306,9 @@ class Auto(_SoftContact):
             raise BrokenRuleError("tolerance", rule)
         return self
 
-    def cost_us(self, base: float, gamma: _Array, omega: _Array, *, at_once: int) -> float:
+    def cost_us(self, base: float, gamma: _Array, omega: _Array, xi: _Array, *, at_once: int) -> float:
         """The cost of the exact model, until a model is chosen."""
-        return self.exact.cost_us(base, gamma, omega, at_once=at_once)
+        return self.exact.cost_us(base, gamma, omega, xi, at_once=at_once)
 
     @property
     def certifies(self) -> bool:
@@ -326,12 +334,12 @@ class ContactModel(NamedTuple):
 
 #: Every contact model by its kind. A new one needs a kernel module, its fields, and a row here (see
 #: docs/architecture.md). The costs fit twenty measured studies (`python -m benchmarks.estimates`). On a ramp
-#: fewer cells of springs are at rest, and more cells of a ball.
+#: fewer cells of springs are at rest.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
     "soft": ContactModel(Soft, "kernel.models.soft", 0.57, "soft contact", 0.53, 1.4),
     "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
     "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.215, "rigid contact", 0.77, 1.4),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.145, "ball contact", 0.95, 0.7),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.145, "ball contact", 0.95),
     # until a model is chosen: the exact one, which is the most expensive
     "auto": ContactModel(Auto, "kernel.models.soft", 0.57, "auto contact", 0.53, 1.4),
 }

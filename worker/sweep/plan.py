@@ -50,7 +50,7 @@ FOLLOWED_SHARE: Final = 0.25
 #: followed.
 BUSIEST_FOLLOWED: Final = 100.0
 
-#: Cost of a certified cell on a ramp, which begins near its cycle, relative to one from rest.
+#: Cost of a spring's certified cell on a ramp, which begins near its cycle, relative to one from rest.
 CERTIFIED_ON_RAMPS: Final = 0.6
 
 
@@ -156,7 +156,7 @@ def estimate(spec: SweepSpec, plan: Plan) -> Cost:
 def cell_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
     """Mean core-seconds per cell of a sweep, from the table of contact models; alone: as `period_seconds`."""
     share = CONTACT_MODELS[spec.model.kind].certified if spec.certifies else 1.0
-    if spec.certifies and spec.ramp_axis is not None:
+    if spec.certifies and spec.ramp_axis is not None and spec.model.in_lanes:
         share *= CERTIFIED_ON_RAMPS
     return share * period_seconds(spec, alone=alone) * mean_periods(spec)
 
@@ -192,11 +192,11 @@ def period_seconds(spec: SweepSpec, *, alone: bool = False) -> float:
 
     alone: for cells computed one by one, as in a refinement.
     """
-    gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     model = CONTACT_MODELS[spec.model.kind]
     at_once = 1 if alone else cells_at_once(spec)
-    period_us = spec.model.cost_us(model.cost_us, gamma, omega, at_once=at_once)
-    if spec.ramp_axis is not None and (at_once > 1 or not spec.model.in_lanes):
+    axes = map(spec.axis_values, ("gamma", "omega", "xi"))
+    period_us = spec.model.cost_us(model.cost_us, *axes, at_once=at_once)
+    if spec.ramp_axis is not None and at_once > 1:
         period_us *= model.ramp
     return period_us * 1e-6
 
