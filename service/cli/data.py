@@ -109,7 +109,7 @@ def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
         raise click.UsageError("JOB needs --verify")
     settings = _settings(data)
     source = click.get_current_context().get_parameter_source("url")
-    is_of_folder = data is not None and source is ParameterSource.DEFAULT
+    is_of_folder = data is not None and source is not ParameterSource.COMMANDLINE
     address = find_service(settings.data) if is_of_folder else url
     all_ok = True
     for finding in checks.verify(settings, job) if verify else checks.examine(settings, address):

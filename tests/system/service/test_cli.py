@@ -227,7 +227,7 @@ def test_a_hangup_that_is_ignored_ends_nothing():
 def test_the_doctor_asks_the_service_on_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, stores: list[str], mark: str, said: str
 ):
-    """Without the proxy that other requests may need."""
+    """Without the proxy that other requests may need, whatever BOUNCE_URL says."""
     for store in stores:
         (tmp_path / "stores" / f"{store}.zarr").mkdir(parents=True)
     with service_at(tmp_path, Held(capacity=workers)) as url, tokens.recorder(tmp_path) as record:
@@ -238,7 +238,7 @@ def test_the_doctor_asks_the_service_on_the_folder(
             for name in ("NO_PROXY", "no_proxy"):
                 patch.delenv(name, raising=False)
             patch.setenv("http_proxy", "http://127.0.0.1:9")
-            answer = bounce("doctor", "--data", tmp_path, url=None)
+            answer = bounce("doctor", "--data", tmp_path)
     (line,) = [line for line in answer.output.splitlines() if line[4:].startswith("service")]
     assert line.startswith(f"{mark}  service           {url} {said}")
     assert answer.exit_code == (mark == "!!")
