@@ -18,7 +18,7 @@ from worker.spec import parsing
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkReport, Study
 from worker.sweep import SweepSpec, plan, schema
-from worker.sweep.specification import EarlierSweep, removed_from
+from worker.sweep.specification import EarlierSweep, is_earlier
 
 SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 
@@ -69,7 +69,7 @@ def from_json(text: str | bytes) -> Any:
 def from_stored(text: str | bytes) -> Any:
     """A specification from a ledger or store, also of an earlier release. Raises a `SpecError`."""
     data = parsing.read_json(text)
-    if isinstance(data, dict) and _study_named(data) is SWEEP and removed_from(data):
+    if isinstance(data, dict) and _study_named(data) is SWEEP and is_earlier(data):
         return EarlierSweep.parse(data)
     return parse(data)
 

@@ -6,7 +6,7 @@ import threading
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -62,7 +62,7 @@ class PreparedJob:
             stored = store.stored_forms(self.store_url, None)
         except store.StoreError:
             return today
-        return replace(today, arrays=tuple(array for array in today.arrays if array.name in stored))
+        return today.stored_as(stored)
 
     @cached_property
     def forms(self) -> Sequence[Mapping[str, store.ArrayForm]] | None:

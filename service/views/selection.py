@@ -25,7 +25,7 @@ from worker import store
 from worker.spec.errors import one_of
 from worker.spec.specification import Specification
 from worker.studies import study_of
-from worker.study import Array
+from worker.study import Array, Layout
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.schema import MODE_ARRAYS
@@ -208,11 +208,15 @@ def read_stored(
     Raises a `store.StoreError`.
     """
     try:
-        stored = names
+        stored = {name: name for name in names}
         if study.forms is None:
             forms = store.stored_forms(study.url, None)
-            stored = [name for name in names if name in forms]
-        arrays = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
+            stored = {array.name: array.name_in(forms) for array in _layout(study.spec).arrays}
+            stored = {name: stored[name] for name in names if stored[name] in forms}
+        values = store.read_slice(
+            study.url, stored.values(), **indices, complete=study.complete, forms=study.forms
+        )
+        arrays = {name: values[there] for name, there in stored.items()}
     except store.StoreMissing as error:
         if study.begun:
             raise store.StoreDamaged(str(error)) from error
@@ -220,9 +224,14 @@ def read_stored(
     return arrays if len(arrays) == len(names) else _fill_values(study.spec, names, indices) | arrays
 
 
+def _layout(spec: Any) -> Layout:
+    """The layout of a study's store, whatever its chunks."""
+    return study_of(spec).variables(spec, (1,) * len(spec.AXES))
+
+
 def _fill_values(spec: Any, names: Sequence[str], indices: Indices) -> dict[str, NDArray[Any]]:
     """The named arrays as they are before any cell is computed."""
-    layout, values = study_of(spec).variables(spec, (1,) * len(spec.AXES)), {}
+    layout, values = _layout(spec), {}
     for array in layout.arrays:
         if array.name in names:
             lengths = zip(array.dims, layout.shape(array), strict=True)

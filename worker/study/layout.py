@@ -6,7 +6,7 @@ Each kind of study declares its variables in its package.
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -52,6 +52,11 @@ class Array(NamedTuple):
     dtype: str
     fill: float | int
     attrs: dict[str, Any]
+    earlier: str | None = None  # its name in stores of earlier releases, if they have another
+
+    def name_in(self, names: Collection[str]) -> str:
+        """Its name in a store with arrays of these names, which may be one of an earlier release."""
+        return self.earlier if self.earlier is not None and self.earlier in names else self.name
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
@@ -108,6 +113,11 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """The arrays in the order they are written."""
         return tuple(array.name for array in self.arrays)
+
+    def stored_as(self, names: Collection[str]) -> "Layout":
+        """The layout of an earlier release's store, which has arrays of these names."""
+        arrays = [array._replace(name=array.name_in(names)) for array in self.arrays]
+        return replace(self, arrays=tuple(array for array in arrays if array.name in names))
 
     def shape(self, array: Array) -> tuple[int, ...]:
         """Length of an array along each of its dimensions."""

@@ -27,7 +27,7 @@ from worker.spec.contact_models import (
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, describe, one_of
-from worker.spec.refine import Refinement
+from worker.spec.refine import EarlierRefine, Refinement
 from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 from worker.sweep.protocols import Protocol, Ramp, Rest
@@ -313,12 +313,13 @@ class SweepSpec(Specification):
 
 
 class EarlierSweep(SweepSpec):
-    """A sweep of a release without certificates, with the fields of REMOVED and the id that it had."""
+    """A sweep of an earlier release, with the fields of REMOVED and the id that it had."""
 
     settle: Settle = 200
     settle_tolerance: float = 0.0
     settle_until: Periods | None = None
     settle_early: bool = True
+    refine: EarlierRefine | None = None
 
     def today(self) -> SweepSpec:
         """The sweep of this release that computes it anew; with certificates if settling cells went on."""
@@ -326,6 +327,8 @@ class EarlierSweep(SweepSpec):
         if self.settle_until is not None:
             goes_on = self.settle_until >= SETTLE + 2 * self.observe
             fields |= {"settle": "auto", "until": self.settle_until if goes_on else None}
+        if self.refine is not None:
+            fields["refine"] = self.refine.today().model_dump()
         return SweepSpec.parse(fields)
 
     def left_out(self) -> set[str]:
@@ -340,6 +343,12 @@ class EarlierSweep(SweepSpec):
 def removed_from(fields: Mapping[str, object]) -> list[str]:
     """The removed fields among these with another value than their default."""
     return [name for name, (default, _) in REMOVED.items() if fields.get(name, default) != default]
+
+
+def is_earlier(fields: Mapping[str, object]) -> bool:
+    """Whether a stored sweep has fields that sweeps no longer have."""
+    refine = fields.get("refine")
+    return bool(removed_from(fields)) or (isinstance(refine, dict) and refine.get("margin") is True)
 
 
 def is_open(spec: object) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import KernelInputError, Outcome, checked_states
+from kernel.params import KERNEL_VERSION, KernelInputError, Outcome, checked_states
 from service.errors import NotAdoptable
 from service.jobs.prepare import new_job
 from service.jobs.stores.opening import find_unknown, id_of
@@ -24,7 +24,7 @@ from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.spec.errors import SpecError
 from worker.studies import from_stored, study_of
-from worker.study import Array, ChunkReport, Plan
+from worker.study import Array, ChunkReport, Layout, Plan
 from worker.study.chunks import report_of
 from worker.sweep.specification import SweepSpec, is_open
 
@@ -51,12 +51,12 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
     if ledger.find(job_id) is not None:
         raise known
     try:
-        job, spec, plan, choice = _contents(url, job_id)
+        job, layout, plan, choice = _contents(url, job_id)
     except (store.StoreError, SpecError, LookupError, TypeError, ValueError, RecursionError) as error:
         missing = isinstance(error, KeyError)
         reason = f"it has no attribute {error}" if missing else str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
-    reports = _whole_chunks(url, spec, plan)
+    reports = _whole_chunks(url, layout, plan)
     summary = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
     with ledger.writing() as writing:
         if writing.find(job_id) is not None:
@@ -67,8 +67,8 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
     return adopted
 
 
-def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
-    """Job, specification, plan and chosen model, from the store's attributes.
+def _contents(url: str, job_id: str) -> tuple[NewJob, Layout, Plan, str | None]:
+    """Job, layout, plan and chosen model, from the store's attributes.
 
     Raises StoreError, SpecError, or the errors of unexpected attributes.
     """
@@ -79,11 +79,16 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Any, Plan, str | None]:
         raise ValueError(f"it names job {attrs['job']}, its sweep is job {spec.job_id(version)}")
     plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))
     layout = study_of(spec).variables(spec, plan.chunk_shape)
-    outcome = store.stored_forms(url, None)["outcome"]
+    forms = store.stored_forms(url, None)
+    outcome = forms["outcome"]
     if dict(zip(outcome.dims, outcome.chunks, strict=True)) != layout.chunk_sizes:
         raise ValueError(f"its attribute chunk_shape {attrs['chunk_shape']} is not that of its arrays")
+    if version != KERNEL_VERSION:
+        layout = layout.stored_as(forms)
+    if lacking := sorted(set(layout.names) - set(forms)):
+        raise ValueError(f"it has no array {', '.join(lacking)}")
     choice = _choice(attrs["choice"], spec) if is_open(spec) else None
-    return new_job(spec, plan, version=version), spec, plan, choice
+    return new_job(spec, plan, version=version), layout, plan, choice
 
 
 def _choice(stored: Any, spec: SweepSpec) -> str:
@@ -97,9 +102,9 @@ def _choice(stored: Any, spec: SweepSpec) -> str:
     return choice.model_dump_json()
 
 
-def _whole_chunks(url: str, spec: Any, plan: Any) -> list[ChunkReport]:
+def _whole_chunks(url: str, layout: Layout, plan: Plan) -> list[ChunkReport]:
     """Reports of the chunks that can be read and have an outcome for every cell."""
-    layout, reports = study_of(spec).variables(spec, plan.chunk_shape), []
+    reports = []
     for chunk in plan:
         try:
             record = store.read_chunk(url, chunk, layout.names, complete=True)

@@ -1,6 +1,6 @@
 """A data folder with results of kernel version 1: they are read, none is continued.
 
-The folder holds a job that is done and one that was stopped after 3 of its 12 chunks.
+The folder holds two jobs that are done and one that was stopped after 3 of its 12 chunks.
 """
 
 import shutil
@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import xarray
 from earlier_kernel import IDS, earlier_folder
@@ -57,6 +58,27 @@ def test_the_done_job_is_read_as_it_was_written(folder: Path):
         opened = xarray.open_zarr(store_of(folder, "done"))
         assert opened.attrs["kernel_version"] == "1"
     assert files(store_of(folder, "done")) == before
+
+
+def test_arrays_that_have_another_name_since_are_read(folder: Path, tmp_path: Path):
+    """That cycles are not the spring's stood in `admissible`; without it each would count as one."""
+    job = f"/v1/jobs/{IDS['cycles']}"
+    with service(folder, Held()) as client:
+        answer = read(client, f"{job}/orbits", omega=0.6, xi=0.05)
+        now = read(client, "/v1/orbits", omega=0.6, xi=0.05)
+        assert answer.event_violations.values.any()
+        np.testing.assert_array_equal(answer.event_violations, now.event_violations)
+        assert set(np.unique(answer.violations)) == {0, 2, 3, 7}
+        exported = tmp_path / "cycles.nc"
+        exported.write_bytes(client.get(f"{job}/export?format=nc").content)
+        with xarray.open_dataset(exported, engine="h5netcdf") as dataset:
+            np.testing.assert_array_equal(np.squeeze(dataset.violations), answer.violations)
+        assert client.get(f"{job}/zarr/admissible/zarr.json").status_code == 200
+    store_of(folder, "cycles").rename(tmp_path / "kept")
+    settings = Settings(data=tmp_path / "another")
+    with open_ledger(settings) as ledger:
+        shutil.copytree(tmp_path / "kept", settings.store_of(f"{IDS['cycles']}.zarr"))
+        assert adopt(ledger, settings, IDS["cycles"]).state == "done"
 
 
 def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):

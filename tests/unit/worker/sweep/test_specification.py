@@ -13,6 +13,7 @@ from tables import for_each
 from worker.spec.axes import MAX_AXIS_VALUES, Range
 from worker.spec.contact_models import CONTACT_MODELS, Rigid
 from worker.spec.errors import SpecInvalid, SpecUnreadable
+from worker.spec.refine import Refine
 from worker.spec.specification import Label
 from worker.studies import from_stored
 from worker.sweep import SweepSpec
@@ -293,6 +294,21 @@ def test_an_earlier_specification_keeps_its_id_and_is_computed_anew_with_certifi
     assert EarlierSweep(**POINT, settle_early=False).job_id("8") == "cd0cca3331677e544616eb949ad4a002"
     assert stored.today() == sweep(settle="auto", observe=20, until=1920)
     assert EarlierSweep(**POINT, settle_tolerance=1e-9).today() == sweep(settle=200)
+
+
+def test_a_stored_map_with_a_margin_keeps_its_id_and_is_computed_anew_without():
+    plane = {
+        "gamma": {"start": 0.9, "stop": 6.0, "num": 101},
+        "omega": {"start": 0.2, "stop": 1.2, "num": 101},
+    }
+    fields = plane | {"xi": 0.26, "settle": 200, "settle_until": 5000, "keep": 8}
+    refine = {"by": "mode", "coarsest": 16}
+    stored = from_stored(
+        json.dumps(fields | {"model": {"kind": "rigid"}, "refine": {**refine, "margin": True}})
+    )
+    assert stored.job_id("7") == "854f970cffce97a404750f9882076137"
+    assert stored.today().refine == Refine(by="mode", coarsest=8)
+    assert EarlierSweep(**fields, refine=refine).today().refine == Refine(**refine)
 
 
 def test_a_ball_that_is_given_no_restitution_has_its_springs():
