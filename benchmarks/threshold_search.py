@@ -1,4 +1,4 @@
-"""Whether anything bounces for ever below the Gamma at which thresholds of the branches say that it ends.
+"""Whether anything bounces on below the Gamma at which thresholds of the branches say that it ends.
 
     python -m benchmarks.threshold_search [--springs 40] [--xi 0.04 0.3] [--omega 0.05 10] [--seed 1]
         [--starts 80] [--gammas 34]
@@ -35,7 +35,7 @@ MOST = 6
 
 
 class Found(NamedTuple):
-    """The lowest Gamma at which something bounces for ever."""
+    """The lowest Gamma at which something bounces on."""
 
     gamma: float
     bounces: int  # of its mode; 0: aperiodic
@@ -55,7 +55,7 @@ def run(gamma: np.ndarray, omega: float, xi: float, states: np.ndarray, settle: 
 def search(
     rng: np.random.Generator, omega: float, xi: float, below: float, count: int = 80, gammas: int = 34
 ) -> Found | None:
-    """The lowest of the Gammas below one at which a start bounces for ever."""
+    """The lowest of the Gammas below one at which a start bounces on."""
     each = below * (1.0 - np.geomspace(*BELOW, gammas))
     gamma = np.repeat(each, count)
     line = run(gamma, omega, xi, np.concatenate([random_starts(rng, g, omega, count) for g in each]), SETTLE)

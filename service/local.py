@@ -434,15 +434,15 @@ def _is_computed(target: Path, spec: Specification) -> bool:
         if not target.absolute().parent.is_dir():
             raise FileNotFoundError(errno.ENOENT, "there is no such folder", str(target.absolute().parent))
         return False
-    parsed = from_json(body(spec))
-    try:
-        same = stores.read_attrs(str(target.absolute())).get("job") == parsed.job_id(KERNEL_VERSION)
-    except stores.StoreError:
-        same = False
-    if not same:
-        rule = "exists, and is not the store of this study, but perhaps a level of it"
-        raise FileExistsError(errno.EEXIST, rule, str(target))
-    return True
+    parsed, attrs = from_json(body(spec)), dict[str, Any]()
+    with suppress(stores.StoreError):
+        attrs = stores.read_attrs(str(target.absolute()))
+    if attrs.get("job") == parsed.job_id(KERNEL_VERSION):
+        return True
+    rule = "exists, and is not the store of this study, but perhaps a level of it"
+    if (version := attrs.get("kernel_version", KERNEL_VERSION)) != KERNEL_VERSION:
+        rule = f"exists, and kernel version {version} computed it; this is version {KERNEL_VERSION}"
+    raise FileExistsError(errno.EEXIST, rule, str(target))
 
 
 def _status(record: JobRecord) -> JobStatus:

@@ -128,16 +128,20 @@ def _stores(settings: Settings) -> Iterator[Finding]:
 def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
     """Read all results of a job, or of all jobs; damaged ones are computed again at the next start.
 
-    Only names the damage while a service uses the folder. Raises UnknownJob.
+    Only names the damage while a service uses the folder, and where an earlier release did: its ledger stays
+    as it is. Raises UnknownJob.
     """
     if not settings.ledger_path.exists():
         yield from _ledger(settings)
         return
     preparer = JobPreparer(settings)
     with ExitStack() as stack:
-        ledger = None
-        with suppress(DataFolderBusy, OSError):  # the last on a read-only disk
-            ledger = stack.enter_context(open_ledger(settings))
+        ledger, hindrance = None, "a service uses the folder; verify again without it"
+        if not backup.is_current(settings.ledger_path):
+            hindrance = "the ledger is an earlier release's; verify again once a service of this one has run"
+        else:
+            with suppress(DataFolderBusy, OSError):  # the last on a read-only disk
+                ledger = stack.enter_context(open_ledger(settings))
         reading = partial(backup.reading, settings.ledger_path) if ledger is None else ledger.reading
         with reading() as transaction:
             jobs = transaction.search()
@@ -147,16 +151,17 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
         for job in jobs:
             with reading() as transaction:
                 done = transaction.done_chunks(job, 0, job.chunks_total)
-            yield Finding("job", *_verify(preparer, ledger, job, done))
+            yield Finding("job", *_verify(preparer, ledger or hindrance, job, done))
 
 
-def _verify(
-    preparer: JobPreparer, ledger: Ledger | None, job: JobRecord, done: list[int]
-) -> tuple[str, bool]:
-    """Read a job's `done` chunks; a sentence on the damage, and whether there is none."""
+def _verify(preparer: JobPreparer, ledger: Ledger | str, job: JobRecord, done: list[int]) -> tuple[str, bool]:
+    """Read a job's `done` chunks; a sentence on the damage, and whether there is none.
+
+    ledger: what hinders its use, where it only is read.
+    """
     try:
         prepared = preparer.prepare(job)
-        if ledger is not None:
+        if isinstance(ledger, Ledger):
             store.sweep_leftovers(prepared.store_url)
             if done:
                 repair_metadata(ledger, job, prepared)
@@ -165,8 +170,8 @@ def _verify(
         return f"{job.id}: {error}", False
     if not damaged:
         return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True
-    if ledger is None:
-        fate = "a service uses the folder; verify again without it to have them computed again"
+    if not isinstance(ledger, Ledger):
+        fate = f"{ledger} to have them computed again"
         return f"{job.id}: damaged: {describe(prepared, damaged)}: {fate}", False
     return f"{job.id}: {repair(ledger, preparer, job.id, damaged).detail}", False
 

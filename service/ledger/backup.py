@@ -68,7 +68,7 @@ def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
                     shutil.copyfileobj(kept, restored)
                 restored.flush()
                 with closing(sqlite3.connect(restored.name)) as connection, connection:
-                    if connection.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+                    if _version(connection) != VERSION:
                         # stores were named by the id: deleted ones may have been computed again
                         connection.executescript("DELETE FROM deletions")
                     make_tables(connection)
@@ -88,11 +88,21 @@ def inspect(file: Path) -> Contents:
     return Contents(int(jobs), int(chunks))
 
 
+def is_current(file: Path) -> bool:
+    """Whether a ledger has this release's tables. Raises LedgerUnusable."""
+    with _readable(file), _opened(file) as connection:
+        return _version(connection) == VERSION
+
+
+def _version(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
 @contextmanager
 def reading(file: Path) -> Iterator[ReadTransaction]:
     """Read a ledger that a service may be using. Raises LedgerUnusable."""
     with _readable(file), _opened(file) as connection, closing(sqlite3.connect(":memory:")) as copy:
-        if connection.execute("PRAGMA user_version").fetchone()[0] == VERSION:
+        if _version(connection) == VERSION:
             connection.row_factory = sqlite3.Row
             yield ReadTransaction(connection)
         else:

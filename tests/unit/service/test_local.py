@@ -108,7 +108,7 @@ def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_there_is_not_replaced(tmp_path: Path):
+def test_what_is_there_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     file = tmp_path / "a.zarr"
     file.write_text("mine")
     with pytest.raises(FileExistsError, match="not the store of this study"):
@@ -122,6 +122,9 @@ def test_what_is_there_is_not_replaced(tmp_path: Path):
     local.run(SPEC, tmp_path / "b.zarr", progress=False)
     with pytest.raises(FileExistsError, match="not the store of this study"):
         local.run(SPEC | {"settle": 31}, tmp_path / "b.zarr", progress=False)
+    monkeypatch.setattr(local, "KERNEL_VERSION", "another")
+    with pytest.raises(FileExistsError, match=f"kernel version {KERNEL_VERSION} computed it"):
+        local.run(SPEC, tmp_path / "b.zarr", progress=False)
 
 
 def test_a_store_is_no_file(tmp_path: Path):

@@ -8,10 +8,12 @@ from pathlib import Path
 import pytest
 from ledgers import accept, current, reports
 
+from service.cli.doctor import verify
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger import backup
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord
+from service.settings import Settings
 
 
 @pytest.fixture
@@ -121,6 +123,8 @@ def test_a_ledger_of_the_release_before_keeps_its_jobs_and_their_stores(tmp_path
     assert backup.inspect(path) == (2, 4)
     with backup.reading(path) as reading:
         assert f"{done.id}.zarr" in reading.stores()
+    assert len(list(verify(Settings(data=tmp_path), None))) == 2
+    assert not backup.is_current(path)  # as that release needs it
     backup.backup(path, tmp_path / "backup.sqlite")
     with Ledger(path) as ledger:
         assert ledger.done_mask(current(ledger)).all()
