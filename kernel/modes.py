@@ -13,7 +13,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.jit import allocating, inlined, jit
 from kernel.params import Outcome
 
-_, PERIODIC, APERIODIC, _, _, _, SETTLING = map(int, Outcome)
+_, PERIODIC, APERIODIC, _, UNRESOLVED, _, SETTLING = map(int, Outcome)
 
 REPEATS: Final = 1e-6  # rad within which flights agree: above the rest of settling, below all differences
 FALLS: Final = 0.01  # part by which a difference must fall to a shorter cycle's; less is rounding
@@ -200,9 +200,10 @@ def recount(
     """The modes of n cells if only flights longer than `shortest` (rad) count, from their stored flights.
 
     flight_time, takeoff_phase: (n, keep) in rad, flights: (n,), as in `params.Line`; modes: as classified
-    with `micro_flight` (rad). A cycle must be seen three times in the stored flights. Cells keep outcome and
-    mode where no other flights count than before, and aperiodic and settling ones their outcome where no mode
-    is found: the kernel has followed them beyond the stored flights.
+    with `micro_flight` (rad). A cycle must be seen three times in the stored flights, or be that of a
+    periodic cell, once; a periodic cell is unresolved where they are less. Cells keep outcome and mode where
+    no other flights count than before, and aperiodic and settling ones their outcome where no mode is found:
+    the kernel has followed them beyond the stored flights.
 
     Plate periods of take-offs are not stored: a contact between two flights is taken to be shorter than a
     plate period, except where the first classification tells how many periods a cycle has.
@@ -224,14 +225,16 @@ def _recount(
             continue
         time, phase, period, place = _select(flight_time[cell], takeoff_phase[cell], now[cell])
         b, p = find_mode(time, phase, period)
-        if b == 0:
-            if outcome[cell] == PERIODIC:
-                new_outcome[cell] = SETTLING if is_settling(time, phase) else APERIODIC
-            new_bounces[cell], new_periods[cell] = 0, 0
-            continue
         if outcome[cell] == PERIODIC:
-            p = _periods(before[cell], place[-1 - b], place[-1], bounces[cell], periods[cell], p)
-        new_outcome[cell], new_bounces[cell], new_periods[cell] = PERIODIC, b, p
+            if b > 0:
+                p = _periods(before[cell], place[-1 - b], place[-1], bounces[cell], periods[cell], p)
+            else:
+                b = _in_cycle(before[cell], now[cell], bounces[cell])
+                p = periods[cell] if b > 0 else 0
+            new_outcome[cell] = PERIODIC if b > 0 else UNRESOLVED
+        elif b > 0:
+            new_outcome[cell] = PERIODIC
+        new_bounces[cell], new_periods[cell] = b, p
 
 
 @allocating
@@ -252,6 +255,22 @@ def _select(flight_time: Any, takeoff_phase: Any, counts: Any) -> tuple[Any, Any
             time[count], phase[count], period[count], place[count] = flight_time[i], start, turns, i
             count += 1
     return time[:count], phase[:count], period[:count], place[:count]
+
+
+@jit
+def _in_cycle(before: Any, now: Any, bounces: int) -> int:
+    """The stored flights that count now in the last cycle of `bounces` that did; 0 if it is not whole."""
+    last, seen, count = -1, 0, 0
+    for i in range(len(before) - 1, -1, -1):
+        if before[i] and last < 0:
+            last = i
+        elif before[i]:
+            seen += 1
+        if seen == bounces:
+            break
+        if last >= 0 and now[i]:
+            count += 1
+    return count if seen == bounces else 0
 
 
 @jit
