@@ -200,7 +200,7 @@ class _Search:
             cell, state = crept.cell, crept.line.end_state[0]
             if cell.gamma < self.bound:
                 self.end = self._named(crept)
-            if crept.gone > 0.0 or not crept.periods:
+            if crept.gone > 0.0:
                 return
             periods = crept.periods
 

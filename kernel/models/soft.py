@@ -100,7 +100,10 @@ def _relative_margin(s: SoftSpring) -> float:
 @interface.flies.register(SoftSpring)
 @jit
 def _flies(s: SoftSpring, phi: PlatePhase, state: State) -> bool:
-    """Not in contact under the cell's law."""
+    """Not in contact under the cell's law; on the surface, without a velocity, if the gap opens."""
+    if state.gap == 0.0 and state.gap1 == 0.0:
+        opening = phi.cos - s.gravity + s.flight.damping * state.q1 + 0.5 * s.flight.stiffness * state.q
+        return opening > 0.0
     return lifted_off(state.gap, state.gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 

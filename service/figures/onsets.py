@@ -239,7 +239,7 @@ def _hysteresis_caption(loop: xarray.Dataset, lower: xarray.Dataset, spec: Mappi
     gamma, (peak, highest) = spec["gamma"], extremum(XI, upper=True)
     step = (gamma["stop"] - gamma["start"]) / (gamma["num"] - 1)
     shows = (
-        "Threshold at ξ = 0.05 with Γ increased (blue: lowest Γ that bounces) and decreased (red: last Γ "
+        "Threshold at ξ = 0.05 with Γ increased (blue: lowest Γ that bounces) and decreased (orange: last Γ "
         f"that bounces) in steps of {step:.2g}, each until its cycle is certified, on an ideal plate; thin, "
         "folds of its cycles (1,1) on the paper's soft contact; diamonds, where a search found that bouncing "
         "ends, as no cycle in closed form decides it; dashed, Eq. 25. Its maximum, "
