@@ -46,11 +46,6 @@ def values(dataset: xr.Dataset) -> dict[str, bytes]:
     return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 3)])
-def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
-    assert values(computed(tmp_path / "cut.zarr", spec, shape)) == expected
-
-
 def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, inline, cluster):
     by_inline = compute_with(inline, spec, tmp_path / "inline.zarr")
     by_cluster = compute_with(cluster, spec, tmp_path / "cluster.zarr")
