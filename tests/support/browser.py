@@ -49,6 +49,14 @@ LONG_LINE: dict[str, Any] = {
     "keep": 64,
 }
 
+#: Drops a file of this name and text on the page.
+DROP = """([name, text]) => {
+    const files = new DataTransfer();
+    files.items.add(new File([text], name));
+    document.querySelector("header").dispatchEvent(
+        new DragEvent("drop", { dataTransfer: files, cancelable: true, bubbles: true }));
+}"""
+
 #: Moves the first slider to each index and returns the times until the plot was redrawn, ms.
 _MOVE_SLIDER = """async indices => {
     const slider = document.querySelector("main .slider:not([hidden]) input[type=range]");

@@ -13,6 +13,7 @@ from typing import Any
 import httpx2
 import pytest
 from browser import (
+    DROP,
     LONG_LINE,
     ROOT,
     longest_task,
@@ -249,13 +250,6 @@ def test_any_study_is_submitted_by_the_keyboard_alone(
         assert submitted[name] == value or submitted[name].items() >= value.items()
     for name, value in again.items():
         assert submitted[name] == value or submitted[name].items() >= value.items()
-
-
-DROP = """([name, text]) => {
-    const files = new DataTransfer();
-    files.items.add(new File([text], name));
-    dispatchEvent(new DragEvent("drop", { dataTransfer: files, cancelable: true }));
-}"""
 
 
 def test_a_kind_of_study_begins_with_what_the_kind_before_lacked(browser: Any, address: str):
