@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import xarray as xr
 from chunks import computed, planned
+from scripted import small
 from stores import files
 
 from worker.executors.base import Executor
@@ -21,8 +22,8 @@ SWEEPS = {
 
 
 @pytest.fixture(params=SWEEPS)
-def spec(request, small_spec) -> SweepSpec:
-    return small_spec(**SWEEPS[request.param])
+def spec(request) -> SweepSpec:
+    return small(**SWEEPS[request.param])
 
 
 @pytest.fixture
