@@ -115,12 +115,6 @@ def test_soft_tends_to_rigid():
     assert slopes == pytest.approx([1.0] * 3, abs=0.15)
 
 
-def coefficients(s: Setting) -> tuple[float, float, float, float]:
-    """Of the spring's free motion on the soft plate: s**4 + c3 s**3 + c2 s**2 + c1 s + c0."""
-    b, w, beta, kappa = s.b, s.w, s.beta, s.kappa
-    return beta + 2 * b, kappa + 2 * w + b * beta, b * kappa + w * beta, w * kappa
-
-
 WIDE = {
     "omega": powers(-3.0, 3.0),
     "xi": st.one_of(
@@ -151,7 +145,11 @@ def pairings(c3: float, c2: float, c1: float, c0: float) -> list[Factors]:
 @given(**WIDE)
 @examples(300)
 def test_factors_multiply_to_the_quartic(**wide):
-    c3, c2, c1, c0 = (mpf(c) for c in coefficients(contact(**wide)))
+    """Of the spring's free motion on the soft plate: s**4 + c3 s**3 + c2 s**2 + c1 s + c0."""
+    s = contact(**wide)
+    b, w, beta, kappa = s.b, s.w, s.beta, s.kappa
+    of_powers = beta + 2 * b, kappa + 2 * w + b * beta, b * kappa + w * beta, w * kappa
+    c3, c2, c1, c0 = map(mpf, of_powers)
     for f in pairings(float(c3), float(c2), float(c1), float(c0)):
         a1, b1, a2, b2 = map(mpf, f)
         assert 0.0 < b1 <= b2 * (1 + 1e-10)
