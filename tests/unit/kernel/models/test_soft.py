@@ -27,13 +27,7 @@ from paths import GOLDEN
 from tables import for_each
 
 from kernel.interface import State, plate_phase
-from kernel.models.soft_contact import (
-    liftoff_function,
-    modes_of,
-    soft_spring,
-    state_of,
-    sure_contact_time,
-)
+from kernel.models.soft_contact import liftoff_function, modes_of, soft_spring, state_of, sure_contact_time
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.oscillator import propagator
 from kernel.numerics.quartic import Factors, paired, roots
@@ -117,10 +111,7 @@ def test_soft_tends_to_rigid():
 
 WIDE = {
     "omega": powers(-3.0, 3.0),
-    "xi": st.one_of(
-        st.sampled_from([0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, 1.0 - 1e-12]),
-        powers(-3.0, 3.0),
-    ),
+    "xi": st.one_of(st.sampled_from([0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, 1.0 - 1e-12]), powers(-3.0, 3.0)),
     "penetration": powers(-8.0, -1.0),
     "restitution": st.one_of(st.sampled_from([0.0, 1.0, 0.01]), st.floats(1e-6, 1.0)),
     "adhesive": st.booleans(),
