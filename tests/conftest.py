@@ -1,4 +1,4 @@
-"""Fixtures and settings of all tests: one kernel cache, one cluster of two worker processes, small sweeps.
+"""Fixtures and settings of all tests: one kernel cache, one cluster of two worker processes.
 
 The cache is kept between runs in `.numba-cache`, so that only the first run compiles. Tests
 depend neither on the program's environment variables, nor on proxies, nor on signals that the calling shell
@@ -9,7 +9,7 @@ import gc
 import os
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -128,11 +128,3 @@ def inline() -> Iterator[Any]:
 
     with closing(Inline()) as executor:
         yield executor
-
-
-@pytest.fixture(scope="session")
-def small_spec() -> Callable[..., Any]:
-    """Makes sweeps of 2 x 3 x 10 cheap cells; any field can be given."""
-    from scripted import small
-
-    return small

@@ -39,15 +39,17 @@ needs_chromium = pytest.mark.skipif(
 
 #: A line of a million flights, computed in half a second; the flights themselves do not matter.
 LONG_LINE: dict[str, Any] = {
-    "name": "A million flights",
-    "gamma": {"start": 1.1, "stop": 6.0, "num": 15_600},
-    "omega": 0.5,
-    "xi": 0.05,
-    "model": {"kind": "rigid"},
-    "settle": 2,
-    "observe": 70,
-    "keep": 64,
-}
+    "name": "A million flights", "gamma": {"start": 1.1, "stop": 6.0, "num": 15_600}, "omega": 0.5,
+    "xi": 0.05, "model": {"kind": "rigid"}, "settle": 2, "observe": 70, "keep": 64,
+}  # fmt: skip
+
+#: Drops a file of this name and text on the page.
+DROP = """([name, text]) => {
+    const files = new DataTransfer();
+    files.items.add(new File([text], name));
+    document.querySelector("header").dispatchEvent(
+        new DragEvent("drop", { dataTransfer: files, cancelable: true, bubbles: true }));
+}"""
 
 #: Moves the first slider to each index and returns the times until the plot was redrawn, ms.
 _MOVE_SLIDER = """async indices => {

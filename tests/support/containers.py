@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from dask_processes import Remote
+from extras import missing_programs
 from paths import ROOT
 from scripted import free_port
 
@@ -30,6 +31,8 @@ from scripted import free_port
 PROGRAMS = (
     "podman", "runc", "podman-compose", "netavark", "aardvark-dns", "catatonit", "iptables", "mmdebstrap",
 )  # fmt: skip
+#: Where they are.
+PATH = f"{os.environ['PATH']}:/usr/sbin:/usr/lib/podman:/usr/libexec/podman"
 
 STORE = Path("/var/cache/bouncing-spring/containers")
 #: Podman's state until the machine restarts.
@@ -69,14 +72,7 @@ COMMAND_SECONDS, BUILD_SECONDS = 120.0, 3600.0
 
 def missing() -> str:
     """Why there can be no containers here; empty if there can."""
-    absent = [name for name in PROGRAMS if shutil.which(name, path=_path()) is None]
-    if absent:
-        return f"needs {', '.join(absent)}: apt-get install {' '.join(PROGRAMS)}"
-    return "" if os.geteuid() == 0 else "needs root"
-
-
-def _path() -> str:
-    return f"{os.environ['PATH']}:/usr/sbin:/usr/lib/podman:/usr/libexec/podman"
+    return missing_programs(PROGRAMS, PATH, " ".join(PROGRAMS))
 
 
 class Podman:
@@ -87,7 +83,7 @@ class Podman:
         names = {
             "store": STORE,
             "run": RUN,
-            "init": shutil.which("catatonit", path=_path()),
+            "init": shutil.which("catatonit", path=PATH),
             "limits": json.dumps(LIMITS),
         }
         (folder / "containers.conf").write_text(CONTAINERS_CONF.format(**names))
@@ -95,7 +91,7 @@ class Podman:
         self.variables = {
             "CONTAINERS_CONF": str(folder / "containers.conf"),
             "CONTAINERS_STORAGE_CONF": str(folder / "storage.conf"),
-            "PATH": _path(),
+            "PATH": PATH,
         }
         if not Path("/run/systemd/system").exists():
             self.variables["DISABLE_HC_SYSTEMD"] = "true"  # otherwise no container with a health check starts

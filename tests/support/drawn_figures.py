@@ -14,7 +14,7 @@ from paths import GOLDEN
 from service import presets
 from service.client import Client
 from service.figures import catalogue
-from service.figures.drawing import Caption, Verdict
+from service.figures.drawing import Caption
 from service.pictures import DPI, STYLE
 from service.presets import FigurePreset
 
@@ -81,15 +81,3 @@ class Pictures(UserDict[int, Made]):
 def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
     """The diagram that the figure was drawn from."""
     return client.submit(SMALL_FIGURES[number].sweeps[sweep]).diagram(**line)
-
-
-def agreeing(caption: Caption) -> str:
-    return caption.claims_that(Verdict.AGREES)
-
-
-def contradicting(caption: Caption) -> str:
-    return caption.claims_that(Verdict.CONTRADICTS)
-
-
-def leaving_open(caption: Caption) -> str:
-    return caption.claims_that(Verdict.LEFT_OPEN)

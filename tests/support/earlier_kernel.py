@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from studies import spec_of
+
 from service.jobs.stores.opening import open_ledger
 from service.ledger.model import JobState, NewJob
 from service.settings import Settings
@@ -15,31 +17,13 @@ from worker.sweep.specification import EarlierSweep
 
 VERSION = "1"
 SPECS: dict[str, dict[str, Any]] = {
-    "done": {
-        "name": "from rest",
-        "gamma": {"start": 1.0, "stop": 3.0, "num": 9},
-        "omega": [0.5, 1.0],
-        "xi": 0.26,
-        "model": {"kind": "rigid"},
-        "settle": 40,
-        "observe": 20,
-        "keep": 8,
-        "exponents": 1,
-    },
-    "interrupted": {
-        "name": "up and down",
-        "gamma": {"start": 0.4, "stop": 1.2, "num": 41},
-        "omega": [0.56, 0.6, 0.64],
-        "xi": [0.05, 0.1],
-        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-        "model": {"kind": "rigid"},
-        "settle": 40,
-        "settle_until": 640,
-        "observe": 20,
-        "keep": 8,
-    },
+    "done": spec_of((1.0, 3.0, 9), [0.5, 1.0], 0.26, window=(40, 20, 8), name="from rest", exponents=1),
+    "interrupted": spec_of(
+        (0.4, 1.2, 41), [0.56, 0.6, 0.64], [0.05, 0.1], "both", (40, 20, 8),
+        name="up and down", settle_until=640,
+    ),
     "cycles": {"omega": 0.6, "xi": 0.05, "protocol": {"kind": "orbits"}, "modes": ["1-1", "1-2"]},
-}
+}  # fmt: skip
 #: Variables that this kernel version did not store.
 ADDED_SINCE = ("lyapunov_error", "flight_error", "multiplier", "multiplier_angle")
 #: Arrays that have another name since.

@@ -1,7 +1,10 @@
 """Extras of the package without which some tests are skipped: why, and programs that they bring."""
 
+import os
 import re
+import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -20,6 +23,14 @@ def needs(extra: str) -> str:
 
 SYSTEM = needs("system")
 LINT = needs("lint")
+
+
+def missing_programs(names: Sequence[str], path: str, packages: str) -> str:
+    """Why programs of Debian's packages cannot be started by root here; empty if they can."""
+    absent = [name for name in names if shutil.which(name, path=path) is None]
+    if absent:
+        return f"needs {', '.join(absent)}: apt-get install {packages}"
+    return "" if os.geteuid() == 0 else "needs root"
 
 
 def program(name: str, reason: str) -> str:

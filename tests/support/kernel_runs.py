@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from naive import Setting, State
@@ -20,6 +21,15 @@ from kernel.params import Cell, Line
 from kernel.trajectory import Trajectory
 
 TWO_PI = 2.0 * math.pi
+#: Every contact model, with values of its contact.
+EACH_MODEL = [
+    pytest.param(Model.RIGID, {}, id="rigid"),
+    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, e = 0.5"),
+    pytest.param(Model.SOFT, {"restitution": 0.05}, id="adhesive"),
+    pytest.param(Model.SOFT, {"restitution": 0.3, "adhesive": False}, id="nonadhesive"),
+    pytest.param(Model.BALL, {"restitution": 0.4}, id="ball"),
+    pytest.param(Model.STEPPED, {"restitution": 0.3, "penetration": 2e-2}, id="stepped"),
+]
 
 
 def sample(cell: Cell, contact: dict[str, Any], state: Any, *, model: Model, **options: Any) -> Trajectory:

@@ -25,13 +25,10 @@ def record(study: SweepSpec, **changes: Any) -> JobRecord:
     return JobRecord(**fields | changes)
 
 
-def new_job(job_id: str = "a" * 32, chunks: int = 4) -> NewJob:
-    return NewJob(job_id, "a name", '{"gamma": 1.0}', "1", (1, 2, 3), chunks, 10 * chunks)
-
-
 def accept(ledger: Ledger, job_id: str = "a" * 32, chunks: int = 4) -> JobRecord:
+    job = NewJob(job_id, "a name", '{"gamma": 1.0}', "1", (1, 2, 3), chunks, 10 * chunks)
     with ledger.writing() as writing:
-        writing.insert(new_job(job_id, chunks), now=100.0)
+        writing.insert(job, now=100.0)
     return current(ledger, job_id)
 
 

@@ -16,9 +16,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
+from extras import missing_programs
 from scripted import free_port, wait_for
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel", "sinfo")
+#: Where they are.
+PATH = f"{os.environ['PATH']}:/usr/sbin"
 
 CONFIGURATION = """
 ClusterName=test
@@ -51,14 +54,7 @@ PartitionName=all Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 
 def missing() -> str:
     """Why there can be no Slurm here; empty if there can."""
-    absent = [name for name in PROGRAMS if shutil.which(name, path=_path()) is None]
-    if absent:
-        return f"needs {', '.join(absent)}: apt-get install slurm-wlm munge"
-    return "" if os.geteuid() == 0 else "needs root"
-
-
-def _path() -> str:
-    return f"{os.environ['PATH']}:/usr/sbin"
+    return missing_programs(PROGRAMS, PATH, "slurm-wlm munge")
 
 
 class Slurm:
@@ -66,7 +62,7 @@ class Slurm:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.variables = {"SLURM_CONF": str(folder / "slurm.conf"), "PATH": _path()}
+        self.variables = {"SLURM_CONF": str(folder / "slurm.conf"), "PATH": PATH}
         self._processes: list[subprocess.Popen[bytes]] = []
 
     def start(self) -> None:
@@ -117,7 +113,7 @@ class Slurm:
 
     def _run(self, program: str, *options: str) -> None:
         with (self.folder / f"{program}.out.log").open("wb") as log:
-            command = [str(shutil.which(program, path=_path())), *options]
+            command = [str(shutil.which(program, path=PATH)), *options]
             self._processes.append(
                 subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | self.variables)
             )

@@ -47,10 +47,7 @@ CHOSEN |= {"0.001", "0.3", "0.6"}
 CHOSEN |= {f"{omega:.2f}" for omega in TABLE_OMEGAS}
 
 #: The contacts of the columns of "Other contacts".
-CONTACTS = (
-    *(Soft(penetration=depth) for depth in (0.001, 0.1)),
-    *(Rigid(restitution=e) for e in (0.3, 0.5)),
-)
+CONTACTS = (*(Soft(penetration=depth) for depth in (0.001, 0.1)), *(Rigid(restitution=e) for e in (0.3, 0.5)))
 
 #: The measured rows of searches.
 SEARCHED_ROWS = re.findall(r"^\| 0\.\d+ to .*$", SECTIONS["How far the rule was searched"], re.MULTILINE)

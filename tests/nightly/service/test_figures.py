@@ -7,7 +7,6 @@ cells are chaotic: where another C library rounds otherwise, their dots lie else
 
 import io
 import json
-import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -27,17 +26,7 @@ if __name__ == "__main__":
     use_cache(CACHE)  # before kernels are declared below
 
 from artists import difference
-from drawn_figures import (
-    DESCENDING,
-    DRAWN,
-    SMALL,
-    SMALL_FIGURES,
-    Pictures,
-    agreeing,
-    contradicting,
-    diagram,
-    leaving_open,
-)
+from drawn_figures import DESCENDING, DRAWN, SMALL, SMALL_FIGURES, Pictures, diagram
 from paths import CACHE, ROOT
 from PIL import Image
 from served import service_at
@@ -84,9 +73,6 @@ def test_picture_has_ink_a_caption_and_a_reasonable_size(pictures: Pictures, num
     grey = np.asarray(image.convert("L"))
     assert 0.01 < np.mean(grey < 128) < 0.4
     assert np.all(grey[:, -2:] == 255)  # nothing is cut off on the right
-    assert caption.number == number
-    assert agreeing(caption)
-    assert contradicting(caption) or leaving_open(caption)
 
 
 @pytest.mark.parametrize("number", [4, 9])
@@ -100,28 +86,14 @@ def test_svg_holds_letters_as_text_and_dots_as_an_image(client: Client, pictures
     assert ("<image" in content) == (number == 4)
 
 
-def test_fig_5_onsets_lie_on_eq_25_which_is_not_1(client: Client, pictures: Pictures):
+def test_fig_5_onsets_lie_on_eq_25(client: Client):
     job = client.submit(SMALL_FIGURES[5].sweeps[0])
     for xi in presets.DAMPINGS:
         onset = job.threshold(xi=xi)
         np.testing.assert_allclose(onset.up, onset.analytic, rtol=0.01)
-    caption = pictures[5].caption
-    assert "at most 0." in agreeing(caption)
-    assert "0.935 at Ω = 0.632" in contradicting(caption)
-    assert "1.599 at Ω = 4" in contradicting(caption)
 
 
-def test_fig_7_is_quasi_periodic_around_four_and_not_chaotic_at_two(client: Client, pictures: Pictures):
-    agrees, contradicts = agreeing(pictures[7].caption), contradicting(pictures[7].caption)
-    assert re.search(r"\(a\) is chaotic beyond Γ ≈ [23]\.", agrees)
-    near_four = (
-        r"\(b\) is hardly chaotic around Γ = 4: (\d+) % of the cells within 0.25 are, and (\d+) % are quasi"
-    )
-    chaotic, tori = map(int, re.findall(near_four, contradicts)[0])
-    assert chaotic < tori
-    assert "(c) is not chaotic" in agrees
-    assert "(b) is not chaotic" in contradicts
-    assert "they repeat as (4, 4), (3, 4), (2, 2)" in contradicts
+def test_fig_7_is_not_chaotic_at_two(client: Client):
     *_, hardly_elastic, elastic, stepped = range(len(SMALL_FIGURES[7].sweeps))
     for sweep in range(2, hardly_elastic):
         assert np.mean(diagram(client, 7, sweep).outcome == Outcome.APERIODIC) < 0.2
@@ -132,19 +104,15 @@ def test_fig_7_is_quasi_periodic_around_four_and_not_chaotic_at_two(client: Clie
     # occurs here too.
     cell = diagram(client, 7, sweep=2).sel(gamma=2.0, method="nearest")
     assert (int(cell.bounces), int(cell.periods)) == (3, 4)
-    np.testing.assert_allclose(
-        np.sort(np.unique(np.round(cell.flight_time.values, 6))),
-        [1.841623253802, 4.885760696436, 5.084577776933],
-        atol=0.02,
-    )
+    found = np.sort(np.unique(np.round(cell.flight_time.values, 6)))
+    np.testing.assert_allclose(found, [1.841623253802, 4.885760696436, 5.084577776933], atol=0.02)
 
 
-def test_fig_9_descends_to_models_thresholds(client: Client, pictures: Pictures):
+def test_fig_9_descends_to_models_thresholds(client: Client):
     loop = client.submit(SMALL_FIGURES[9].sweeps[0]).threshold(xi=0.05)
     for omega, gamma in DESCENDING.items():
         assert float(loop.down.sel(omega=omega)) == pytest.approx(gamma, abs=0.006)
     np.testing.assert_allclose(loop.up, loop.analytic, atol=0.006)
-    assert "Ω = 0.62: down to Γ = 0.5" in agreeing(pictures[9].caption)
 
 
 def write() -> None:
@@ -156,13 +124,8 @@ def write() -> None:
         Client(url) as client,
     ):
         pictures = Pictures(client)
-        figures = {
-            str(number): {
-                "caption": str(pictures[number].caption).splitlines(),
-                "drawn": pictures[number].drawn,
-            }
-            for number in SMALL
-        }
+        made = {number: pictures[number] for number in SMALL}
+    figures = {n: {"caption": str(x.caption).splitlines(), "drawn": x.drawn} for n, x in made.items()}
     source = f"what the artists of each figure draw, read back by python {Path(__file__).relative_to(ROOT)}"
     DRAWN.write_text(json.dumps({"source": source, "figures": figures}, indent=1, ensure_ascii=False) + "\n")
 

@@ -7,23 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel_runs import Model, run
+from kernel_runs import EACH_MODEL, run
 from paths import ROOT, SUPPORT
-
-MODELS = [
-    pytest.param(Model.RIGID, {}, id="rigid"),
-    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, e = 0.5"),
-    pytest.param(Model.SOFT, {"restitution": 0.05}, id="adhesive"),
-    pytest.param(Model.SOFT, {"restitution": 0.3, "adhesive": False}, id="nonadhesive"),
-    pytest.param(Model.BALL, {"restitution": 0.3}, id="ball"),
-    pytest.param(Model.STEPPED, {"restitution": 0.5, "penetration": 0.05}, id="stepped"),
-]
 
 
 def numbers() -> np.ndarray:
     """A small line of every model, from rest and as a ramp."""
     rows = []
-    for model, contact in (case.values for case in MODELS):
+    for model, contact in (case.values for case in EACH_MODEL):
         for carry in (False, True):
             line = run([2.5, 2.6], 0.7, 0.05, model, settle=1, observe=2, keep=4, carry=carry, **contact)
             rows.append(np.nan_to_num([*line.flight_time.ravel(), *line.end_state.ravel()]))
@@ -34,13 +25,9 @@ def test_without_compilation_the_numbers_are_the_same():
     """NUMBA_DISABLE_JIT=1 runs the same sources in Python, as coverage does."""
     script = "import test_interpreted as t; print(*(x.hex() for x in t.numbers().ravel()))"
     path = os.pathsep.join(map(str, (Path(__file__).parent, SUPPORT, ROOT)))
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    variables = os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     interpreted = [float.fromhex(x) for x in done.stdout.split()]
     assert interpreted == pytest.approx(numbers().ravel(), abs=1e-12)

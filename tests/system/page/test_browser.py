@@ -13,6 +13,7 @@ from typing import Any
 import httpx2
 import pytest
 from browser import (
+    DROP,
     LONG_LINE,
     ROOT,
     longest_task,
@@ -245,17 +246,8 @@ def test_any_study_is_submitted_by_the_keyboard_alone(
         page.get_by_label("Language").select_option("JSON")
         again = json.loads(page.locator("details pre").text_content())
     submitted = httpx2.get(f"{address}/v1/jobs/{job}", timeout=DEADLINE).json()["spec"]
-    for name, value in expected.items():
+    for name, value in (*expected.items(), *again.items()):
         assert submitted[name] == value or submitted[name].items() >= value.items()
-    for name, value in again.items():
-        assert submitted[name] == value or submitted[name].items() >= value.items()
-
-
-DROP = """([name, text]) => {
-    const files = new DataTransfer();
-    files.items.add(new File([text], name));
-    dispatchEvent(new DragEvent("drop", { dataTransfer: files, cancelable: true }));
-}"""
 
 
 def test_a_kind_of_study_begins_with_what_the_kind_before_lacked(browser: Any, address: str):
@@ -638,8 +630,7 @@ def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: st
 
 
 def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
-    axes = {"gamma": {"start": 1.5, "stop": 4, "num": 26}, "omega": 0.5, "xi": 0.26}
-    job = done(address, {**axes, "model": {"kind": "rigid"}, "exponents": 1, "settle": 20, "observe": 40})
+    job = done(address, spec_of((1.5, 4, 26), 0.5, 0.26, window=(20, 40), exponents=1))
     with opened(browser, view(address, job)) as page:
         below = page.get_by_role("img", name="Largest Lyapunov exponent")
         below.wait_for()
@@ -737,9 +728,7 @@ def test_details_that_were_left_do_not_come_back(browser: Any, address: str, loo
 
 def test_the_picture_of_the_readme(browser: Any, address: str):
     """Kept in test-artefacts/page/figure-2.png."""
-    gamma = {"start": 1.0, "stop": 6.0, "num": 1001}
-    fig_2 = {"name": "Figure 2", "gamma": gamma, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}}
-    job = done(address, fig_2)
+    job = done(address, spec_of((1.0, 6.0, 1001), 0.5, 0.26, name="Figure 2"))
     with opened(browser, view(address, job, cell="2.3,0.5,0.26,rest"), reduced_motion="reduce") as page:
         page.get_by_label("Plate periods since").fill("1.2")
         page.locator(".trajectory .readout", has_text="3.722, 6.285").wait_for()
@@ -899,8 +888,7 @@ def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
 
 
 def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, address: str):
-    axes = {"gamma": {"start": 1.0, "stop": 2.4, "num": 57}, "omega": {"start": 0.45, "stop": 0.6, "num": 16}}
-    job = done(address, {**axes, "name": "Margins", "xi": 0.26, "model": {"kind": "rigid"}})
+    job = done(address, spec_of((1.0, 2.4, 57), (0.45, 0.6, 16), 0.26, name="Margins"))
     with opened(browser, view(address, job, "modes")) as page:
         page.locator(".legend", has_text="(1, 1)").wait_for()
         page.get_by_label("Colour").select_option("margin of stability |μ|")
@@ -913,10 +901,8 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
 
 
 def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp_path: Path):
-    axes = {"gamma": {"start": 0.5, "stop": 6.0, "num": 60}, "omega": {"start": 0.4, "stop": 1.6, "num": 40}}
-    spec = {**axes, "xi": 0.05, "model": {"kind": "rigid"}, "settle": 2, "observe": 8, "keep": 8}
     with computing_at(tmp_path, max_points=1000) as address:
-        job = done(address, spec)
+        job = done(address, spec_of((0.5, 6.0, 60), (0.4, 1.6, 40), 0.05, window=(2, 8, 8)))
         with opened(browser, view(address, job, "modes"), expected=("413",)) as page:
             note = page.get_by_text("Shown: 1 in 2")
             note.wait_for()
@@ -944,9 +930,7 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
 
 
 def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
-    short = {"name": "Short", "gamma": {"start": 0.6, "stop": 1.5, "num": 46}, "omega": 1.0, "xi": 0.01}
-    window = {"model": {"kind": "rigid"}, "settle": 20, "observe": 60, "keep": 4}
-    job = done(address, short | window)
+    job = done(address, spec_of((0.6, 1.5, 46), 1.0, 0.01, window=(20, 60, 4), name="Short"))
     with opened(browser, view(address, job, "modes")) as page:
         page.locator(".notice", has_text="still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()

@@ -256,21 +256,15 @@ def test_a_comparison_says_what_only_some_of_its_sweeps_have(browser: Any, addre
 
 
 #: A map of two directions and one from rest, over different ranges.
-MAPS: tuple[dict[str, Any], ...] = (
-    {
-        "name": "both ways",
-        "gamma": {"start": 0.6, "stop": 1.6, "num": 12},
-        "omega": {"start": 0.5, "stop": 0.8, "num": 5},
-        "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    },
-    {"name": "from rest", "gamma": {"start": 1.0, "stop": 3.0, "num": 21}, "omega": [0.5, 0.7, 0.9]},
+MAPS = (
+    spec_of((0.6, 1.6, 12), (0.5, 0.8, 5), [0.05, 0.1], "both", (30, 10, 8), name="both ways"),
+    spec_of((1.0, 3.0, 21), [0.5, 0.7, 0.9], [0.05, 0.1], window=(30, 10, 8), name="from rest"),
 )
 
 
 def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
-    shared = {"xi": [0.05, 0.1], "model": {"kind": "rigid"}, "settle": 30, "observe": 10, "keep": 8}
     with Client(address) as client:
-        maps = [client.submit(shared | spec).wait(progress=False).id for spec in MAPS]
+        maps = [client.submit(spec).wait(progress=False).id for spec in MAPS]
     with opened(browser, f"{address}/#/compare?jobs={','.join(maps)}") as page:
         wait_shown(page, along="gamma")
         page.get_by_label("Layout").select_option("mode maps")

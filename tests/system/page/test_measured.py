@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import needs_chromium, open_tab, opened, screenshot, wait_shown
+from browser import DROP, needs_chromium, open_tab, opened, screenshot, wait_shown
 from served import done
 from studies import spec_of
 
@@ -15,13 +15,6 @@ from service.client import Client
 pytestmark = needs_chromium
 
 SWEEP = spec_of((0.5, 1.4, 46), [0.5, 0.6, 0.7], 0.05, name="Measured", ramp="both", window=(120, 30, 24))
-
-DROP = """([name, text]) => {
-    const files = new DataTransfer();
-    files.items.add(new File([text], name));
-    document.querySelector("header").dispatchEvent(
-        new DragEvent("drop", { dataTransfer: files, cancelable: true, bubbles: true }));
-}"""
 
 
 def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: str, tmp_path: Path):

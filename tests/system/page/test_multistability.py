@@ -7,17 +7,15 @@ import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
 from scripted import wait_for
 from served import done
+from studies import spec_of
 
 from service.client import Client
 
 pytestmark = needs_chromium
 
 #: Hysteresis: (1,1) is born in a fold at gamma 0.5532 for omega 0.6; rest ends at the threshold of Eq. 25.
-PLANE: dict[str, Any] = {
-    "name": "What coexists", "gamma": {"start": 0.4, "stop": 1.1, "num": 15},
-    "omega": {"start": 0.5, "stop": 0.7, "num": 5}, "xi": 0.05, "model": {"kind": "rigid"},
-    "protocol": {"kind": "multistability"}, "settle": 600,
-}  # fmt: skip
+COEXISTING = {"name": "What coexists", "protocol": {"kind": "multistability"}, "settle": 600}
+PLANE = spec_of((0.4, 1.1, 15), (0.5, 0.7, 5), 0.05, **COEXISTING)
 
 
 @pytest.fixture(scope="module")

@@ -21,19 +21,11 @@ from service.client.models import JobStatus
 SPEC = spec_of((0.6, 3.0, 25), [0.5, 0.6], 0.26, name="local", window=(30, 20, 4))
 
 #: Cells of which a chunk takes tenths of a second, and the whole some seconds.
-LONG = SPEC | {
-    "gamma": {"start": 1.0, "stop": 4.0, "num": 40},
-    "omega": {"start": 0.5, "stop": 0.6, "num": 10},
-    "model": {"kind": "soft", "penetration": 1e-3, "restitution": 0.01},
-    "settle": 4000,
-}
+SOFT = {"kind": "soft", "penetration": 1e-3, "restitution": 0.01}
+LONG = spec_of((1.0, 4.0, 40), (0.5, 0.6, 10), 0.26, name="local", model=SOFT, window=(4000, 20, 4))
 
-ORBITS = {
-    "omega": {"start": 0.4, "stop": 1.2, "num": 60},
-    "xi": [0.05, 0.1, 0.2],
-    "protocol": {"kind": "orbits"},
-    "points": 40,
-}
+OMEGA = {"start": 0.4, "stop": 1.2, "num": 60}
+ORBITS = {"omega": OMEGA, "xi": [0.05, 0.1, 0.2], "protocol": {"kind": "orbits"}, "points": 40}
 
 
 def chunks_done(folder: Path) -> int:

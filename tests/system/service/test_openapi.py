@@ -40,14 +40,8 @@ def test_a_generated_client_submits_a_sweep(tmp_path: Path, document: Any, monke
         computing_at(tmp_path / "data") as address,
         generated.Client(base_url=address, timeout=DEADLINE) as client,
     ):
-        sweep = models.SweepSpec(
-            gamma=models.Range(start=1.0, stop=2.0, num=5),
-            omega=0.5,
-            xi=[0.1, 0.26],
-            model=models.Rigid(),
-            settle=20,
-            observe=10,
-        )
+        fields = {"gamma": models.Range(start=1.0, stop=2.0, num=5), "omega": 0.5, "xi": [0.1, 0.26]}
+        sweep = models.SweepSpec(**fields, model=models.Rigid(), settle=20, observe=10)
         job = calls["submit_job"](client=client, body=sweep)
         wait_for(lambda: calls["get_job"](job.id, client=client).state == "done")
         problem = calls["submit_job"](client=client, body=models.SweepSpec(gamma=-1.0, omega=0.5, xi=0.26))

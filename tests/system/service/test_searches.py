@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from served import computing
+from studies import spec_of
 
 from service.client import Client
 from service.pictures import draw_thresholds
 
-RAMP: dict[str, Any] = {
-    "gamma": [0.7, 0.9], "omega": 0.52, "xi": 0.02, "model": {"kind": "rigid"},
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"},
-    "settle": 60, "observe": 20, "keep": 4,
-}  # fmt: skip
+RAMP = spec_of([0.7, 0.9], 0.52, 0.02, "both", (60, 20, 4))
 
 
 @pytest.fixture

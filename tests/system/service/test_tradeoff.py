@@ -72,13 +72,6 @@ def test_the_command_shows_progress_prints_the_table_and_writes_the_picture(
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_picture_of_another_kind_is_refused_before_anything_is_measured():
-    done = CliRunner().invoke(main, ["tradeoff", "-o", "tradeoff.gif"])
-    assert done.exit_code == 2
-    assert "does not end in" in done.stderr
-    assert "measured" not in done.stderr
-
-
 def test_what_the_published_picture_shows_is_what_is_measured():
     columns = json.loads((GOLDEN / "tradeoff_rows.json").read_text())["variables"]
     assert columns["contact"] == [setting.name for setting in SETTINGS]

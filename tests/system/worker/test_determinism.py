@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import xarray as xr
 from chunks import computed, planned
+from scripted import small
 from stores import files
 
 from worker.executors.base import Executor
@@ -21,8 +22,8 @@ SWEEPS = {
 
 
 @pytest.fixture(params=SWEEPS)
-def spec(request, small_spec) -> SweepSpec:
-    return small_spec(**SWEEPS[request.param])
+def spec(request) -> SweepSpec:
+    return small(**SWEEPS[request.param])
 
 
 @pytest.fixture
@@ -44,11 +45,6 @@ def compute_with(executor: Executor, spec: SweepSpec, url: Path) -> Path:
 def values(dataset: xr.Dataset) -> dict[str, bytes]:
     """The bytes of every stored array."""
     return {name: dataset[name].values.tobytes() for name in dataset.data_vars}
-
-
-@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 2, 3)])
-def test_chunk_shapes_change_no_number(spec, expected, tmp_path, shape):
-    assert values(computed(tmp_path / "cut.zarr", spec, shape)) == expected
 
 
 def test_inline_and_two_workers_write_the_same_files(spec, expected, tmp_path, inline, cluster):

@@ -61,16 +61,7 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total
             wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
-
-
-def test_a_cancelled_job_ends_while_there_are_no_workers(tmp_path: Path, made: list[LocalCluster]):
-    made.append(local_cluster(0))
-    with closing(Dask(made[0], kernel_cache=CACHE)) as executor, running(tmp_path, executor) as service:
         client = executor._connection.client
-        job = service.submit(costing())
-        service.until(job, JobState.RUNNING)
-        service.manager.cancel(job.id)
-        service.until(job, JobState.CANCELLED)
     assert (client.status, made[0].status.name) == ("closed", "running")
 
 

@@ -159,8 +159,7 @@ def test_their_sum_is_the_mean_rate_of_volume_of_soft(adhesive):
 
 
 @for_each(
-    ("model", "restitution", "most"),
-    [(Model.RIGID, 0.0, 3), (Model.RIGID, 0.5, 4), (Model.STEPPED, 0.5, 0)],
+    ("model", "restitution", "most"), [(Model.RIGID, 0.0, 3), (Model.RIGID, 0.5, 4), (Model.STEPPED, 0.5, 0)]
 )
 def test_no_more_than_the_state_has_dimensions(model, restitution, most):
     if most:

@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 from kernel_runs import Model, last_cycle, run
 from paths import GOLDEN
@@ -43,20 +42,3 @@ def test_the_papers_cycles(cell):
     assert line.outcome[0] == expected
     if cell["flights"]:
         assert last_cycle(line, line.bounces[0]) == pytest.approx(cell["flights"], abs=1e-9)
-
-
-def test_descending_thresholds():
-    facts = FACTS["descending"]
-    gamma = 1.2 - facts["step"] * np.arange(210)
-    for (omega, last), (_, ascending) in zip(facts["last_bouncing"], facts["threshold"], strict=True):
-        line = run(gamma, omega, facts["xi"], carry=True, settle=facts["periods"] // 2, observe=60, keep=1)
-        bouncing = line.outcome != Outcome.AT_REST
-        lowest = gamma[np.flatnonzero(bouncing)[-1]]
-        assert lowest == pytest.approx(last, abs=facts["step"])
-        assert lowest < ascending
-
-
-@pytest.mark.parametrize(("gamma", "flight"), FACTS["ball"]["inelastic_flight"])
-def test_inelastic_ball(gamma, flight):
-    line = run(gamma, 1.0, 1.0, Model.BALL, settle=300)
-    assert last_cycle(line, 1) == pytest.approx([flight], abs=1e-6)

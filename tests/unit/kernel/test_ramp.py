@@ -1,23 +1,13 @@
 """Ramps: what is carried from cell to cell, and that it does not matter how a line was cut."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from kernel_runs import Model, assert_same_bytes, recorded, run
+from kernel_runs import EACH_MODEL, Model, assert_same_bytes, recorded, run
 from tables import for_each
 
 from kernel.params import STATE_FIELDS, Cell, Line, Start
-
-MODELS = [
-    pytest.param(Model.RIGID, {}, id="rigid"),
-    pytest.param(Model.RIGID, {"restitution": 0.5}, id="rigid, e = 0.5"),
-    pytest.param(Model.SOFT, {"restitution": 0.05}, id="adhesive"),
-    pytest.param(Model.SOFT, {"restitution": 0.3, "adhesive": False}, id="nonadhesive"),
-    pytest.param(Model.BALL, {"restitution": 0.4}, id="ball"),
-    pytest.param(Model.STEPPED, {"restitution": 0.3, "penetration": 2e-2}, id="stepped"),
-]
 
 AXES = {
     "gamma": (np.linspace(1.2, 4.0, 13), 0.5, 0.26),
@@ -27,29 +17,14 @@ AXES = {
 }
 
 
-def line_of(axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    gamma, omega, xi = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in AXES[axis]))
-    return gamma, omega, xi
+def units(cell: Cell) -> np.ndarray:
+    """Of gap, gap', q, q' in metres and metres per second, on a plate with omega_0 = 50/s."""
+    angular = cell.omega * 50.0
+    amplitude = cell.gamma * 9.81 / angular**2
+    return np.array([amplitude, amplitude * angular, amplitude, amplitude * angular])
 
 
-def start_after(line: Line, i: int, gamma: Any, omega: Any, xi: Any) -> Start:
-    return Start(line.end_state[i], Cell(float(gamma[i]), float(omega[i]), float(xi[i])))
-
-
-def in_si(state: np.ndarray, gamma: float, omega: float) -> np.ndarray:
-    """Metres and metres per second of gap, gap', q, q' on a plate with omega_0 = 50/s."""
-    angular = omega * 50.0
-    amplitude = gamma * 9.81 / angular**2
-    return state[2:] * np.array([amplitude, amplitude * angular, amplitude, amplitude * angular])
-
-
-def from_si(physical: np.ndarray, gamma: float, omega: float) -> np.ndarray:
-    angular = omega * 50.0
-    amplitude = gamma * 9.81 / angular**2
-    return physical / np.array([amplitude, amplitude * angular, amplitude, amplitude * angular])
-
-
-@for_each(("model", "contact"), MODELS[:4])
+@for_each(("model", "contact"), EACH_MODEL[:4])
 @for_each(("old", "new"), [
     (Cell(2.5, 0.7, 0.05), Cell(2.4, 0.7, 0.05)),
     (Cell(2.5, 0.7, 0.05), Cell(2.5, 0.8, 0.05)),
@@ -60,7 +35,7 @@ def test_positions_and_velocities_are_kept_through_a_step(model, contact, old, n
     """A start in the old cell's units is the same as one converted through metres and seconds."""
     before = run(*old, model, settle=13, observe=1, keep=8, carry=True, **contact).end_state[0]
     after = before.copy()
-    after[2:] = from_si(in_si(before, old.gamma, old.omega), new.gamma, new.omega)
+    after[2:] = before[2:] * units(old) / units(new)
     window = {"settle": 0, "observe": 3, "keep": 64, "carry": True}
     mine, true = (
         run(*new, model, start=start, **window, **contact)
@@ -71,7 +46,7 @@ def test_positions_and_velocities_are_kept_through_a_step(model, contact, old, n
     assert mine.end_state[0] == pytest.approx(true.end_state[0], abs=1e-11)
 
 
-@pytest.mark.parametrize(("model", "contact"), MODELS[:4])
+@pytest.mark.parametrize(("model", "contact"), EACH_MODEL[:4])
 def test_windows_of_one_cell_join_to_one_run(model, contact):
     """Ten windows of two periods have the flights of one of twenty, but for those under way at the joints."""
     cell = (2.5, 0.7, 0.05)
@@ -90,17 +65,18 @@ def test_windows_of_one_cell_join_to_one_run(model, contact):
     assert len(times) - len(joined) <= 9
 
 
-@for_each(("model", "contact"), MODELS)
+@for_each(("model", "contact"), EACH_MODEL)
 @for_each("axis", AXES)
 def test_a_ramp_gives_the_same_bytes_however_it_is_cut(model, contact, axis):
-    gamma, omega, xi = line_of(axis)
+    gamma, omega, xi = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in AXES[axis]))
     window = {"settle": 5, "observe": 7, "keep": 16, "carry": True, "settle_until": 40}
     whole = run(gamma, omega, xi, model, **window, **contact)
     for cuts in ([1], [6], [3, 4, 11], list(range(1, 13))):
         parts, start = [], None
         for piece in np.split(np.arange(13), cuts):
             line = run(gamma[piece], omega[piece], xi[piece], model, start=start, **window, **contact)
-            start = start_after(line, -1, gamma[piece], omega[piece], xi[piece])
+            last = piece[-1]
+            start = Start(line.end_state[-1], Cell(float(gamma[last]), float(omega[last]), float(xi[last])))
             parts.append(line)
         assert_same_bytes(Line(*(np.concatenate(field) for field in zip(*parts, strict=True))), whole)
 

@@ -27,15 +27,12 @@ def run(plate: Any, micro_flight: float, keep: int = 512) -> Line:
     return run_line(GAMMA, OMEGA, XI, plate=plate, carry=False, **window)
 
 
-def modes(line: Line) -> Modes:
-    return Modes(line.outcome, line.bounces, line.periods)
-
-
 @pytest.mark.parametrize("plate", PLATES.values(), ids=PLATES)
 @pytest.mark.parametrize(("before", "shortest"), [(0.0, 0.05), (0.05, 0.0), (0.0, 1.0), (1.0, 0.0)])
 def test_the_modes_are_those_the_kernel_finds(plate: Any, before: float, shortest: float):
     stored, expected = run(plate, before), run(plate, shortest)
-    found = recount(stored.flight_time, stored.takeoff_phase, stored.flights, modes(stored), before, shortest)
+    modes = Modes(stored.outcome, stored.bounces, stored.periods)
+    found = recount(stored.flight_time, stored.takeoff_phase, stored.flights, modes, before, shortest)
     differing = found.outcome != expected.outcome
     assert np.count_nonzero(differing) <= 4
     for line in (found, expected):

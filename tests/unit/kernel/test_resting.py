@@ -26,10 +26,6 @@ KINDS = [Model.BALL, Model.RIGID, Model.SOFT]
 BELOW = np.arange(0.02, 0.985, 0.01)
 
 
-def onset(which: Model, omega: float, xi: float) -> float:
-    return 1.0 if which == Model.BALL else float(threshold(omega, xi))
-
-
 def cell(which: Model, gamma: float, omega: float, xi: float):
     """The kernel's constants of one cell, e = 0.01 and d = 1e-3."""
     e, d = np.array([0.01]), np.array([1e-3])
@@ -38,7 +34,7 @@ def cell(which: Model, gamma: float, omega: float, xi: float):
 
 
 def up(which: Model, omega: float, xi: float) -> tuple[np.ndarray, Line]:
-    gamma = onset(which, omega, xi) * BELOW
+    gamma = (1.0 if which == Model.BALL else float(threshold(omega, xi))) * BELOW
     return gamma, run(gamma, omega, xi, which, restitution=0.01, carry=True, settle=200, observe=100)
 
 

@@ -11,16 +11,6 @@ from kernel.params import KernelInputError, Line, Outcome
 CELL = (1.27, 0.5, 0.26)  # two attractors of one bounce
 
 
-def drops(rows: int, columns: int, height: float = 10.0) -> np.ndarray:
-    """(rows * columns, 6) the spring relaxed and at rest in the laboratory, above the plate."""
-    heights = (np.arange(rows) + 0.5) * height / rows
-    phases = 2.0 * math.pi * np.arange(columns) / columns
-    states = np.zeros((rows, columns, 6))
-    states[..., 0], states[..., 1], states[..., 2] = phases, 1.0, heights[:, None]
-    states[..., 3] = np.sin(phases)
-    return states.reshape(-1, 6)
-
-
 def dropped(states: np.ndarray, **others: object) -> Line:
     n = len(states)
     return run(*(np.full(n, x) for x in CELL), states=states, **{"settle": 400, "observe": 40} | others)
@@ -43,7 +33,12 @@ def test_the_state_of_rest_gives_the_record_from_rest(model: Model):
 
 def test_lanes_and_one_by_one_agree_and_so_does_every_division_of_the_starts():
     """With exponents cells are computed one by one; the height and the phase decide the attractor."""
-    states = drops(6, 6)
+    # the spring relaxed and at rest in the laboratory, above the plate
+    phases, heights = 2.0 * math.pi * np.arange(6) / 6, (np.arange(6) + 0.5) * 10.0 / 6
+    states = np.zeros((6, 6, 6))
+    states[..., 0], states[..., 1], states[..., 2] = phases, 1.0, heights[:, None]
+    states[..., 3] = np.sin(phases)
+    states = states.reshape(-1, 6)
     lanes, single = dropped(states), dropped(states, exponents=1)
     assert set(np.round(lanes.flight_time[:, 0], 6)) == {4.631301, 3.374643}
     assert lanes.outcome.tolist() == single.outcome.tolist() == [Outcome.PERIODIC] * 36

@@ -15,20 +15,11 @@ ONE = np.ones(3)
 
 
 def call(**changed: Any) -> Line:
-    arguments: dict[str, Any] = {
-        "gamma": 1.5 * ONE,
-        "omega": 0.5 * ONE,
-        "xi": 0.26 * ONE,
-        "model": Model.SOFT if "penetration" in changed else Model.RIGID,
-        "restitution": 0.0 * ONE,
-        "penetration": 1e-3 * ONE,
-        "adhesive": True,
-        "carry": False,
-        "settle": 2,
-        "observe": 3,
-        "keep": 4,
-    } | changed
-    return run_line(arguments.pop("gamma"), arguments.pop("omega"), arguments.pop("xi"), **arguments)
+    cells = {"gamma": 1.5 * ONE, "omega": 0.5 * ONE, "xi": 0.26 * ONE}
+    model = Model.SOFT if "penetration" in changed else Model.RIGID
+    plate = {"model": model, "restitution": 0.0 * ONE, "penetration": 1e-3 * ONE, "adhesive": True}
+    arguments = cells | plate | {"carry": False, "settle": 2, "observe": 3, "keep": 4} | changed
+    return run_line(*[arguments.pop(name) for name in cells], **arguments)
 
 
 ARRAYS = ("gamma", "omega", "xi", "restitution", "penetration")

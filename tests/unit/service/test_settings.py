@@ -23,10 +23,7 @@ def test_every_setting_is_described_in_one_sentence(name: str):
 @for_each(
     ("given", "rule"),
     [
-        (
-            {"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"},
-            "only one of scheduler, scheduler_file",
-        ),
+        ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_"),
         ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
         ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
         ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
@@ -34,11 +31,18 @@ def test_every_setting_is_described_in_one_sentence(name: str):
         ({"port": 65536}, "port"),
         ({"worker_memory": 1000}, "worker_memory"),
         ({"allowed_hosts": "a.org, http://b.org"}, "http://b.org: a host is a name or an address"),
+        ({"token": "s3cret"}, "token"),
+        ({"host": "0.0.0.0", "token": ["s3cret"]}, "token"),
+        ({"scheduler": "tls://name:s3cret@host:8786"}, "must not contain credentials: scheduler_cert"),
+        ({"stores": "s3://name:s3cret@bucket/prefix"}, AWS),
+        ({"stores": "https://name:s3cret@host/prefix"}, AWS),
+        ({"stores": "s3:name:s3cret@bucket"}, AWS),
     ],
 )
-def test_a_setting_that_cannot_be_used_is_refused(given: dict[str, Any], rule: str):
-    with pytest.raises(ValidationError, match=rule):
+def test_a_setting_that_cannot_be_used_is_refused_and_no_secret_shown(given: dict[str, Any], rule: str):
+    with pytest.raises(ValidationError, match=rule) as refused:
         Settings(**given)
+    assert "s3cret" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -74,20 +78,3 @@ def test_a_token_that_is_still_to_be_made_lets_nobody_in():
     assert not Settings(token="a-token-of-the-service").makes_token
     assert Settings(token="a-token-of-the-service").access_tokens() == {"a-token-of-the-service": None}
     assert Settings(token="").access_tokens() == {}
-
-
-@for_each(
-    ("given", "rule"),
-    [
-        ({"token": "s3cret"}, "token"),
-        ({"host": "0.0.0.0", "token": ["s3cret"]}, "token"),
-        ({"scheduler": "tls://name:s3cret@host:8786"}, "must not contain credentials: scheduler_cert"),
-        ({"stores": "s3://name:s3cret@bucket/prefix"}, AWS),
-        ({"stores": "https://name:s3cret@host/prefix"}, AWS),
-        ({"stores": "s3:name:s3cret@bucket"}, AWS),
-    ],
-)
-def test_a_secret_where_none_belongs_is_refused_and_not_shown(given: dict[str, Any], rule: str):
-    with pytest.raises(ValidationError, match=rule) as refused:
-        Settings(**given)
-    assert "s3cret" not in str(refused.value)

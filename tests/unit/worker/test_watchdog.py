@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from chunks import planned
 from distributed import Client, LocalCluster
-from scripted import DEADLINE, wait_for
+from scripted import DEADLINE, small, wait_for
 
 from worker import store, watchdog
 from worker.study import ChunkCancelled
@@ -117,8 +117,8 @@ class Watched:
 
 
 @pytest.fixture
-def watched(client: Client, tmp_path: Path, small_spec: Any, timers: Any) -> Watched:
-    return Watched(client, str(tmp_path / "a.zarr"), small_spec())
+def watched(client: Client, tmp_path: Path, timers: Any) -> Watched:
+    return Watched(client, str(tmp_path / "a.zarr"), small())
 
 
 def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):

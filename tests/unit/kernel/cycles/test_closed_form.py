@@ -11,7 +11,7 @@ from tables import for_each
 from kernel.cycles.admissibility import Reason
 from kernel.cycles.closed_form import floquet, gamma_and_slope, orbit
 from kernel.cycles.energy import energy
-from kernel.cycles.events import Branch, branch, branch_and_events, flight_times
+from kernel.cycles.events import branch, branch_and_events, flight_times
 from kernel.cycles.spring import spring
 from kernel.params import KernelInputError
 
@@ -25,14 +25,10 @@ SPRINGS = [
 ]  # fmt: skip
 
 
-def one(line: Branch) -> dict[str, float]:
-    """The first point of a branch."""
-    return {name: np.asarray(value)[0] for name, value in line._asdict().items() if np.ndim(value)}
-
-
 @for_each("cell", REFERENCE["floquet"])
 def test_reference_orbits(cell):
-    point = one(branch(cell["omega"], cell["xi"], cell["mode"][1], np.array([cell["flight_time"]])))
+    line = branch(cell["omega"], cell["xi"], cell["mode"][1], np.array([cell["flight_time"]]))
+    point = {name: np.asarray(value)[0] for name, value in line._asdict().items() if np.ndim(value)}
     # flight_time is given to 12 digits: what depends on it steeply differs by some 1e-10
     for name in ("gamma", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity"):
         assert point[name] == pytest.approx(cell[name], abs=2e-10), name

@@ -13,15 +13,24 @@ from kernel.params import FEW, LANES, Line, Outcome
 
 RANDOM = np.random.default_rng(1).uniform(-1.0, 1.0, 400)
 
+#: Adhesive or not, e, d: underdamped and overdamped contacts, stiff and compliant.
+CONTACTS = [
+    (True, 0.01, 1e-3), (True, 0.01, 1e-6), (True, 0.5, 1e-2), (False, 0.01, 1e-3), (False, 0.3, 1e-5),
+]  # fmt: skip
 
-def rigid(gamma, omega, xi, *, restitution=0.0, settle=200, observe=60, lines=0, one_by_one=False) -> Line:
-    """Cells from rest, or so many lines of a ramp; `one_by_one`, as with exponents, by scalar functions."""
+
+def computed(
+    gamma, omega, xi, *, model=Model.RIGID, contact=(True, 0.0, 1e-3), settle=200, observe=60, lines=0,
+    scalar=False,
+) -> Line:  # fmt: skip
+    """Cells from rest, or so many lines of a ramp; `scalar`, as with exponents, by scalar functions."""
     gamma, omega, xi = (np.ascontiguousarray(a) for a in np.broadcast_arrays(gamma, omega, xi))
+    adhesive, e, d = contact
     return run_line(
-        gamma, omega, xi, model=Model.RIGID, restitution=np.full(len(gamma), restitution),
-        penetration=np.full(len(gamma), 1e-3), adhesive=True, carry=lines > 0,
+        gamma, omega, xi, model=model, restitution=np.full(len(gamma), e),
+        penetration=np.full(len(gamma), d), adhesive=adhesive, carry=lines > 0,
         start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40,
-        exponents=int(one_by_one),
+        exponents=int(scalar),
     )  # fmt: skip
 
 
@@ -55,8 +64,8 @@ def test_elementary_functions_of_lanes_against_50_digits(function, exact, number
 def test_short_runs_agree_to_rounding(omega, xi, restitution):
     """Four plate periods leave chaos no time: every flight agrees."""
     gamma = np.linspace(0.6, 5.9, 2 * LANES + 5)
-    lanes = rigid(gamma, omega, xi, restitution=restitution, settle=0, observe=4)
-    alone = rigid(gamma, omega, xi, restitution=restitution, settle=0, observe=4, one_by_one=True)
+    lanes = computed(gamma, omega, xi, contact=(True, restitution, 1e-3), settle=0, observe=4)
+    alone = computed(gamma, omega, xi, contact=(True, restitution, 1e-3), settle=0, observe=4, scalar=True)
     np.testing.assert_array_equal(lanes.flights, alone.flights)
     close = np.isclose(lanes.flight_time, alone.flight_time, rtol=1e-6, atol=1e-8, equal_nan=True).all(axis=1)
     close &= np.isclose(lanes.end_state, alone.end_state, rtol=1e-6, atol=1e-6).all(axis=1)
@@ -67,7 +76,7 @@ def test_short_runs_agree_to_rounding(omega, xi, restitution):
 @pytest.mark.parametrize(("omega", "xi"), [(1.24, 0.05), (5.0, 0.8), (1.0, 0.05)])
 def test_periodic_cells_agree_within_1e_10(omega, xi):
     gamma = np.linspace(0.8, 3.2, 40)
-    lanes, alone = rigid(gamma, omega, xi), rigid(gamma, omega, xi, one_by_one=True)
+    lanes, alone = computed(gamma, omega, xi), computed(gamma, omega, xi, scalar=True)
     both = (lanes.outcome == Outcome.PERIODIC) & (alone.outcome == Outcome.PERIODIC)
     both &= (lanes.bounces == alone.bounces) & (lanes.flights == alone.flights)
     assert both.sum() > 10
@@ -85,12 +94,12 @@ def test_a_cell_does_not_depend_on_its_neighbours():
     n = 3 * LANES + 1
     gamma, omega, xi = rng.uniform(0.5, 6, n), 10 ** rng.uniform(-1.5, 1.3, n), 10 ** rng.uniform(-2, 1, n)
     xi[::5] = 1.0
-    together = rigid(gamma, omega, xi, settle=20, observe=20)
+    together = computed(gamma, omega, xi, settle=20, observe=20)
     order = rng.permutation(n)
-    shuffled = rigid(gamma[order], omega[order], xi[order], settle=20, observe=20)
+    shuffled = computed(gamma[order], omega[order], xi[order], settle=20, observe=20)
     assert_same_bytes(part(together, order), shuffled)
     for i in (0, 7, n - 1):
-        single = rigid(gamma[i : i + 1], omega[i : i + 1], xi[i : i + 1], settle=20, observe=20)
+        single = computed(gamma[i : i + 1], omega[i : i + 1], xi[i : i + 1], settle=20, observe=20)
         assert_same_bytes(part(together, slice(i, i + 1)), single)
 
 
@@ -106,17 +115,24 @@ def ramps(lines: int, length: int = 7) -> tuple[np.ndarray, np.ndarray, np.ndarr
     )
 
 
-@for_each("lines", [1, FEW, FEW + 1, LANES // 2 + 1, 2 * LANES + 1])
-@for_each("restitution", [0.0, 0.3])
-def test_a_line_does_not_depend_on_the_others(lines, restitution):
+#: Of lines, around what the kernel runs side by side.
+NUMBERS = (1, FEW, FEW + 1, LANES // 2 + 1, 2 * LANES + 1)
+
+
+@for_each(
+    ("plate", "lines"),
+    [({"contact": (True, e, 1e-3)}, n) for e in (0.0, 0.3) for n in NUMBERS]
+    + [({"model": Model.SOFT, "contact": contact}, LANES // 2 + 1) for contact in CONTACTS[2:4]],
+)
+def test_a_line_does_not_depend_on_the_others(plate, lines):
     """Same bytes however many lines of a ramp run beside it, in whatever order."""
     length = 7
     cells = ramps(lines, length)
-    together = rigid(*cells, restitution=restitution, lines=lines, settle=10, observe=20)
+    together = computed(*cells, **plate, lines=lines, settle=10, observe=20)
     assert len(set(together.outcome)) > 1
     for i in reversed(range(lines)):
         one = slice(i * length, (i + 1) * length)
-        alone = rigid(*(axis[one] for axis in cells), restitution=restitution, lines=1, settle=10, observe=20)
+        alone = computed(*(axis[one] for axis in cells), **plate, lines=1, settle=10, observe=20)
         assert_same_bytes(part(together, one), alone)
 
 
@@ -125,8 +141,8 @@ def test_short_ramps_agree_to_rounding(restitution):
     """Two cells of two plate periods, the second of which begins in the air or in contact."""
     lines = 300
     cells = ramps(lines, 2)
-    lanes = rigid(*cells, restitution=restitution, lines=lines, settle=0, observe=2)
-    alone = rigid(*cells, restitution=restitution, lines=lines, settle=0, observe=2, one_by_one=True)
+    lanes = computed(*cells, contact=(True, restitution, 1e-3), lines=lines, settle=0, observe=2)
+    alone = computed(*cells, contact=(True, restitution, 1e-3), lines=lines, settle=0, observe=2, scalar=True)
     second = lanes.end_state[:-1:2, 1] == 1.0
     assert 0.1 * lines < second.sum() < 0.9 * lines
     close = np.isclose(lanes.flight_time, alone.flight_time, rtol=1e-9, atol=1e-10, equal_nan=True).all(
@@ -137,48 +153,16 @@ def test_short_ramps_agree_to_rounding(restitution):
     assert (lanes.flights == alone.flights).mean() > 0.99
 
 
-#: Adhesive or not, e, d: underdamped and overdamped contacts, stiff and compliant.
-CONTACTS = [
-    (True, 0.01, 1e-3),
-    (True, 0.01, 1e-6),
-    (True, 0.5, 1e-2),
-    (False, 0.01, 1e-3),
-    (False, 0.3, 1e-5),
-]
-
-
-def soft(gamma, omega, xi, contact, *, settle=0, observe=3, lines=0, exponents=0) -> Line:
-    """Cells from rest, or so many lines of a ramp."""
-    adhesive, e, d = contact
-    return run_line(
-        gamma, omega, xi, model=Model.SOFT, restitution=np.full(len(gamma), e),
-        penetration=np.full(len(gamma), d), adhesive=adhesive, carry=lines > 0,
-        start=[None] * lines if lines else None, settle=settle, observe=observe, keep=40, exponents=exponents,
-    )  # fmt: skip
-
-
 @for_each("contact", CONTACTS)
 def test_soft_short_runs_agree_to_rounding(contact):
     """Three plate periods leave chaos little time: nearly every flight agrees, the first ones all."""
     rng = np.random.default_rng(5)
     n = 400
     cells = rng.uniform(0.5, 6, n), 10 ** rng.uniform(-1, 1, n), 10 ** rng.uniform(-2.5, 1, n)
-    lanes, alone = (soft(*cells, contact, exponents=exponents) for exponents in (0, 1))
+    how = {"model": Model.SOFT, "contact": contact, "settle": 0, "observe": 3}
+    lanes, alone = (computed(*cells, **how, scalar=scalar) for scalar in (False, True))
     assert np.isfinite(alone.flight_time[:, 0]).sum() > n // 2
     np.testing.assert_allclose(lanes.flight_time[:, 0], alone.flight_time[:, 0], rtol=0, atol=2e-9)
     np.testing.assert_allclose(lanes.takeoff_phase[:, 0], alone.takeoff_phase[:, 0], rtol=0, atol=2e-9)
     assert (lanes.flights == alone.flights).mean() >= 0.99
     assert (np.abs(lanes.end_state - alone.end_state).max(axis=1) < 1e-6).mean() >= 0.98
-
-
-@pytest.mark.parametrize("contact", CONTACTS[2:4], ids=str)
-def test_a_soft_line_does_not_depend_on_the_others(contact):
-    """Same bytes however many lines run beside it, in whatever order."""
-    lines, length = LANES // 2 + 1, 4
-    cells = ramps(lines, length)
-    together = soft(*cells, contact, lines=lines, settle=10, observe=20)
-    assert len(set(together.outcome)) > 1
-    for i in reversed(range(lines)):
-        one = slice(i * length, (i + 1) * length)
-        alone = soft(*(axis[one] for axis in cells), contact, lines=1, settle=10, observe=20)
-        assert_same_bytes(part(together, one), alone)

@@ -29,13 +29,7 @@ from tables import for_each
 from kernel.interface import State, plate_phase
 from kernel.line import run_line
 from kernel.models import soft
-from kernel.models.soft_contact import (
-    liftoff_function,
-    modes_of,
-    soft_spring,
-    state_of,
-    sure_contact_time,
-)
+from kernel.models.soft_contact import liftoff_function, modes_of, soft_spring, state_of, sure_contact_time
 from kernel.numerics.first_root import ROOT, terms
 from kernel.numerics.oscillator import propagator
 from kernel.numerics.quartic import Factors, paired, roots
@@ -117,18 +111,9 @@ def test_soft_tends_to_rigid():
     assert slopes == pytest.approx([1.0] * 3, abs=0.15)
 
 
-def coefficients(s: Setting) -> tuple[float, float, float, float]:
-    """Of the spring's free motion on the soft plate: s**4 + c3 s**3 + c2 s**2 + c1 s + c0."""
-    b, w, beta, kappa = s.b, s.w, s.beta, s.kappa
-    return beta + 2 * b, kappa + 2 * w + b * beta, b * kappa + w * beta, w * kappa
-
-
 WIDE = {
     "omega": powers(-3.0, 3.0),
-    "xi": st.one_of(
-        st.sampled_from([0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, 1.0 - 1e-12]),
-        powers(-3.0, 3.0),
-    ),
+    "xi": st.one_of(st.sampled_from([0.0, 1.0, math.sqrt(0.5), 1.0 + 1e-12, 1.0 - 1e-12]), powers(-3.0, 3.0)),
     "penetration": powers(-8.0, -1.0),
     "restitution": st.one_of(st.sampled_from([0.0, 1.0, 0.01]), st.floats(1e-6, 1.0)),
     "adhesive": st.booleans(),
@@ -153,7 +138,11 @@ def pairings(c3: float, c2: float, c1: float, c0: float) -> list[Factors]:
 @given(**WIDE)
 @examples(300)
 def test_factors_multiply_to_the_quartic(**wide):
-    c3, c2, c1, c0 = (mpf(c) for c in coefficients(contact(**wide)))
+    """Of the spring's free motion on the soft plate: s**4 + c3 s**3 + c2 s**2 + c1 s + c0."""
+    s = contact(**wide)
+    b, w, beta, kappa = s.b, s.w, s.beta, s.kappa
+    of_powers = beta + 2 * b, kappa + 2 * w + b * beta, b * kappa + w * beta, w * kappa
+    c3, c2, c1, c0 = map(mpf, of_powers)
     for f in pairings(float(c3), float(c2), float(c1), float(c0)):
         a1, b1, a2, b2 = map(mpf, f)
         assert 0.0 < b1 <= b2 * (1 + 1e-10)

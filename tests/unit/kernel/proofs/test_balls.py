@@ -9,14 +9,7 @@ pytest.importorskip("flint", reason="needs the extra proofs")
 
 from flint import arb, arb_mat, ctx
 
-from kernel.proofs.balls import (
-    PRECISIONS,
-    NotProvenError,
-    bounds,
-    check_positive,
-    exact,
-    first_proven,
-)
+from kernel.proofs.balls import PRECISIONS, NotProvenError, bounds, check_positive, exact, first_proven
 
 #: x'' = -x as (x, x'), from (0, 1): the sine.
 CIRCLE, START = arb_mat([[0, 1], [-1, 0]]), arb_mat([[0], [1]])

@@ -20,13 +20,7 @@ from kernel.params import Cell, Outcome
 from kernel.proofs.balls import NotProvenError, bounds
 from kernel.proofs.cycles import Law, prove_cycle
 
-LAWS = [
-    Law(0.0),
-    Law(0.3),
-    Law(0.01, 1e-3),
-    Law(0.3, 1e-2),
-    Law(0.01, 1e-3, adhesive=False),
-]
+LAWS = [Law(0.0), Law(0.3), Law(0.01, 1e-3), Law(0.3, 1e-2), Law(0.01, 1e-3, adhesive=False)]
 FLOQUET = json.loads((GOLDEN / "branches.json").read_text())["floquet"]
 #: A spring, a Gamma just above its fold, and the flight time of the stable cycle there.
 CELL, FOLD = Cell(0.5533, 0.6, 0.05), 0.553244593224092931

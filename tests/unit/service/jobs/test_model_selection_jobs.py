@@ -8,23 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fastapi.testclient import TestClient
 from scripted import Held, wait_for
-from served import computing, service
+from served import computing, finished, get, service
 from stores import store_in
+from studies import spec_of
 
 from worker import store
 from worker.executors.base import ClusterLost, WorkerDied
 from worker.executors.inline import Inline
 
-SWEEP: dict[str, Any] = {
-    "name": "auto",
-    "gamma": {"start": 0.5, "stop": 5.0, "num": 46},
-    "omega": 0.5,
-    "xi": 0.26,
-    "model": {"kind": "auto", "tolerance": 1e-3, "restitution": 0.0, "penetration": 1e-6},
-    "keep": 8,
-}
+AUTO = {"kind": "auto", "tolerance": 1e-3, "restitution": 0.0, "penetration": 1e-6}
+SWEEP = spec_of((0.5, 5.0, 46), 0.5, 0.26, name="auto", model=AUTO, keep=8)
 FIELDS = ("flight_time", "takeoff_phase", "outcome", "bounces", "periods")
 
 
@@ -55,13 +49,6 @@ class Undecided(Held):
         return super().call()
 
 
-def ended(client: TestClient, spec: dict[str, Any] = SWEEP) -> dict[str, Any]:
-    """The job, finished."""
-    here = client.post("/v1/jobs", json=spec).headers["Location"]
-    wait_for(lambda: client.get(here).json()["state"] not in ("queued", "running"))
-    return client.get(here).json()
-
-
 def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path):
     undecided = Undecided()
     with service(tmp_path, undecided, active_jobs=1) as client:
@@ -74,8 +61,8 @@ def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path)
 
 def test_job_and_store_show_the_choice_and_have_the_numbers_of_the_model_chosen(tmp_path: Path):
     with computing(tmp_path) as client:
-        job = ended(client)
-        rigid = ended(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}})
+        job = get(client, finished(client, SWEEP))
+        rigid = get(client, finished(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}}))
     choice = job["choice"]
     assert (job["state"], choice["model"], rigid["choice"]) == ("done", "rigid", None)
     assert choice["reason"].startswith("rigid: the cheapest within 0.001 rad of exact soft in 95% of the")
@@ -95,7 +82,7 @@ def test_job_and_store_show_the_choice_and_have_the_numbers_of_the_model_chosen(
 def test_a_choice_whose_worker_or_cluster_is_lost_is_made_again(tmp_path: Path):
     errors = WorkerDied("no memory"), ClusterLost("no scheduler"), ClusterLost("none"), WorkerDied("again")
     with closing(Unlucky(*errors)) as executor, service(tmp_path, executor) as client:
-        assert ended(client)["choice"]["model"] == "rigid"
+        assert get(client, finished(client, SWEEP))["choice"]["model"] == "rigid"
     assert executor.calls == 5
 
 
@@ -111,6 +98,6 @@ def test_a_choice_is_remembered_through_a_restart_before_the_first_chunk(tmp_pat
         wait_for(lambda: client.get(here).json()["state"] == "running")
         chosen = client.get(here).json()["choice"]
     with closing(Unlucky()) as executor, service(tmp_path, executor) as client:
-        job = ended(client)
+        job = get(client, finished(client, SWEEP))
     assert executor.calls == 0
     assert (job["state"], job["choice"]) == ("done", chosen)

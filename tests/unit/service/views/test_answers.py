@@ -35,7 +35,7 @@ from served import computing, finished
 from tables import for_each
 
 from service.api.capacity import Activity, Capacity, Lease
-from service.client import Client, Job
+from service.client import Client
 
 ANSWERS: Final = GOLDEN / "answers.json"
 _RIGID: Final[dict[str, Any]] = {"xi": 0.26, "model": {"kind": "rigid"}}
@@ -173,7 +173,7 @@ class Answers:
             return self._bytes_asked(f"{self._job(name)}/{document}", query)
         name, method, arguments = READ[number]
         job = self._client.job(self._job(name).rsplit("/", 1)[1])
-        return _dataset(_read(job, method, arguments))
+        return _dataset(getattr(job, method)(**arguments).load())
 
     def _document(self, path: str, query: Mapping[str, Any]) -> Any:
         wait_for(lambda: self._service.get(path, params=query).status_code != 202)
@@ -198,12 +198,6 @@ class Answers:
         if name not in self._jobs:
             self._jobs[name] = finished(self._service, SPECS[name])
         return self._jobs[name]
-
-
-def _read(job: Job, method: str, arguments: Mapping[str, Any]) -> xarray.Dataset:
-    found = getattr(job, method)(**arguments)
-    assert isinstance(found, xarray.Dataset)
-    return found.load()
 
 
 def _dataset(data: xarray.Dataset) -> Any:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from scripted import Held, wait_for
 from served import get
 from served import service as begun
+from studies import spec_of
 from tables import for_each
 
 from kernel.cycles.thresholds import closed_form
@@ -283,11 +284,7 @@ def test_a_study_of_orbits_has_those_of_its_springs(python_client: Client):
 
 # Predictions beside the thresholds of a sweep
 
-RAMP: dict[str, Any] = {
-    "gamma": {"start": 0.5, "stop": 0.9, "num": 101}, "omega": [0.6, 0.9], "xi": 0.05,
-    "protocol": {"kind": "ramp", "axis": "gamma", "direction": "both"}, "model": {"kind": "rigid"},
-    "settle": 60, "observe": 20, "keep": 4,
-}  # fmt: skip
+RAMP = spec_of((0.5, 0.9, 101), [0.6, 0.9], 0.05, "both", (60, 20, 4))
 
 
 def test_a_ramp_that_begins_below_the_jump_follows_the_cycle_that_shrinks_to_rest(python_client: Client):

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from scipy.stats import ks_2samp
+from studies import spec_of
 
 from kernel.params import STATE_FIELDS, Line, Outcome, empty_line
 from worker.basins import attractors
@@ -19,16 +20,8 @@ from worker.basins.specification import BasinSpec
 
 WHICH, ELAPSED, START = (STATE_FIELDS.index(name) for name in ("gap", "gap_velocity", "elongation"))
 
-SPEC = BasinSpec(
-    gamma=1.0,
-    omega=0.5,
-    xi=0.1,
-    protocol={"kind": "basin"},
-    settle=100,
-    observe=20,
-    settle_until=1200,
-    keep=8,
-)
+WINDOWS = spec_of(1.0, 0.5, 0.1, window=(100, 20, 8), settle_until=1200)
+SPEC = BasinSpec(**WINDOWS, protocol={"kind": "basin"})
 
 
 class Seen(NamedTuple):

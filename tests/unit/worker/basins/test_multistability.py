@@ -126,12 +126,9 @@ def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     assert rule in str(caught.value)
 
 
-def test_lines_along_gamma_are_not_cut():
+def test_lines_are_not_cut_and_one_too_long_for_a_chunk_is_refused_with_the_number_that_is_not():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
         STUDIES["multistability"].plan(multistability(), (1, 1, 2))
-
-
-def test_a_line_that_is_too_long_for_a_chunk_is_refused_with_the_number_that_is_not():
     line = multistability(gamma={"start": 1, "stop": 2, "num": 100_000})
     with pytest.raises(SpecTooLarge, match=r"takes 266,100,000 bytes.* take at most 25,219 values") as caught:
         STUDIES["multistability"].plan(line)

@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from studies import spec_of
 from tables import for_each
 
 from worker.maps.window import FEWEST_VALUES, Window
@@ -11,14 +12,11 @@ from worker.sweep import SweepSpec
 from worker.sweep.specification import EarlierSweep
 
 JOB = "0123456789abcdef" * 2
-MAP: dict[str, Any] = {
-    "gamma": {"start": 1.0, "stop": 3.0, "num": 201},  # 0.01 apart
-    "omega": [0.25, 0.5, 0.75, 1.0],
-    "xi": [0.0, 0.125, 0.5],
-    "model": {"kind": "rigid", "restitution": 0.25},
-    "settle": 60,
-    "keep": 8,
-}
+#: 0.01 apart along gamma.
+MAP = spec_of(
+    (1.0, 3.0, 201), [0.25, 0.5, 0.75, 1.0], [0.0, 0.125, 0.5], settle=60, keep=8,
+    model={"kind": "rigid", "restitution": 0.25},
+)  # fmt: skip
 
 
 def window(map_: dict[str, Any] | None = None, **fields: Any) -> SweepSpec:

@@ -16,6 +16,7 @@ import zarr
 from chunks import planned
 from hypothesis import given
 from hypothesis import strategies as st
+from scripted import small
 from stores import files
 from tables import for_each
 
@@ -30,8 +31,8 @@ from worker.sweep.schema import layout
 
 
 @pytest.fixture
-def spec(small_spec) -> SweepSpec:
-    return small_spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}, name="a label")
+def spec() -> SweepSpec:
+    return small(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"}, name="a label")
 
 
 @pytest.fixture
@@ -78,17 +79,17 @@ def test_a_store_of_time_steps_states_their_limit(tmp_path):
     assert 0.0 < steps["longest_step"] < steps["stable_below"]
 
 
-def test_another_sweep_or_another_cut_is_not_overwritten(url, spec, small_spec, plan):
+def test_another_sweep_or_another_cut_is_not_overwritten(url, spec, plan):
     with pytest.raises(store.StoreConflict, match="holds job"):
-        store.create(url, layout(small_spec(settle=21), plan.chunk_shape))
+        store.create(url, layout(small(settle=21), plan.chunk_shape))
     with pytest.raises(store.StoreConflict, match=r"is cut into chunks of \[1, 2, 4\], not \[2, 3, 10\]"):
         store.create(url, layout(spec, make_plan(spec, chunk_shape=(2, 3, 10)).chunk_shape))
 
 
 @pytest.fixture(scope="module")
-def full(tmp_path_factory, small_spec) -> tuple[str, dict[str, np.ndarray]]:
+def full(tmp_path_factory) -> tuple[str, dict[str, np.ndarray]]:
     """A store with every chunk written, and all of it as zarr reads it."""
-    spec = small_spec(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
+    spec = small(protocol={"kind": "ramp", "axis": "gamma", "direction": "both"})
     url = str(tmp_path_factory.mktemp("full") / "sweep.zarr")
     for chunk in planned(url, spec, (2, 2, 4)):
         store.write_chunk(url, chunk, record_of(spec, chunk))

@@ -8,12 +8,6 @@ from tables import for_each
 from worker.study import Array, Layout
 
 
-def sized(**sizes: int) -> Layout:
-    """One chunk of so many cells of 8 bytes."""
-    array = Array("outcome", tuple(sizes), "<f8", 0, {})
-    return Layout(sizes, {dim: np.arange(n) for dim, n in sizes.items()}, {}, (array,))
-
-
 @for_each(
     ("sizes", "inner", "alike"),
     [
@@ -28,7 +22,8 @@ def sized(**sizes: int) -> Layout:
 )
 def test_large_chunks_are_halved(sizes, inner, alike):
     """In turn along every dimension; by releases up to 0.2 along the longest, of larger ones."""
-    cut = sized(**sizes)
-    assert cut.inner_shape(cut.arrays[0]) == inner
-    assert replace(cut, cut_alike=True).inner_shape(cut.arrays[0]) == alike
+    array = Array("outcome", tuple(sizes), "<f8", 0, {})  # in one chunk
+    cut = Layout(sizes, {dim: np.arange(n) for dim, n in sizes.items()}, {}, (array,))
+    assert cut.inner_shape(array) == inner
+    assert replace(cut, cut_alike=True).inner_shape(array) == alike
     assert len(cut.cuts) == (1 if inner == alike else 2)

@@ -13,13 +13,7 @@ from worker.study import Chunk, Plan
 from worker.study.chunks import check_size
 from worker.study.layout import INNER_BYTES
 from worker.sweep import AXES, SweepSpec, schema
-from worker.sweep.plan import (
-    MAX_SHARD_BYTES,
-    cell_seconds,
-    estimate,
-    longest_cell_seconds,
-    make_plan,
-)
+from worker.sweep.plan import MAX_SHARD_BYTES, cell_seconds, estimate, longest_cell_seconds, make_plan
 from worker.sweep.schema import layout
 
 RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from chunks import cut_finely, planned, run_in_slices
 from kernel_runs import Model, run_line
+from scripted import small
 from stores import files
 
 from kernel.cycles.starts import cycles_at
@@ -57,8 +58,8 @@ def ramp(axis, direction):
     ],
     ids=["rigid", "rigid e", "soft", "soft rest length"],
 )
-def test_cells_from_rest_are_the_kernels(tmp_path, small_spec, model):
-    spec = small_spec(model=model, gamma=[0.5, 1.5, 2.3, 3.6], micro_flight=1e-3)
+def test_cells_from_rest_are_the_kernels(tmp_path, model):
+    spec = small(model=model, gamma=[0.5, 1.5, 2.3, 3.6], micro_flight=1e-3)
     plan, url = stored(tmp_path, spec, (1, 2, 3))
     for chunk in plan:
         run_chunk(spec, chunk, url)
@@ -72,9 +73,9 @@ def test_cells_from_rest_are_the_kernels(tmp_path, small_spec, model):
 
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("direction", ["up", "down"])
-def test_ramp_carries_its_state_across_chunks(tmp_path, small_spec, axis, direction):
+def test_ramp_carries_its_state_across_chunks(tmp_path, axis, direction):
     axes = {name: [0.4, 0.9] for name in AXES} | {axis: {"start": 0.2, "stop": 4.0, "num": 12}}
-    spec = small_spec(**axes, protocol=ramp(axis, direction))
+    spec = small(**axes, protocol=ramp(axis, direction))
     plan, url = stored(tmp_path, spec, tuple(5 if name == axis else 1 for name in AXES))
     for chunk in plan:
         run_chunk(spec, chunk, url)
@@ -91,10 +92,10 @@ def test_ramp_carries_its_state_across_chunks(tmp_path, small_spec, axis, direct
             assert np.array_equal(found[name][where][order], getattr(expected, name), equal_nan=True), name
 
 
-def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path, small_spec):
+def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path):
     """A line in two chunks: it bounces down to its fold, in steps of 1e-5."""
     fold = thresholds(0.6, 0.05).down
-    spec = small_spec(
+    spec = small(
         gamma={"start": fold - 1e-4, "stop": fold + 9e-4, "num": 101}, omega=0.6, xi=0.05,
         model={"kind": "rigid"}, settle="auto",
         protocol={**ramp("gamma", "down"), "start": {"periods": 1}},
@@ -110,8 +111,8 @@ def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path, small_spec):
     assert found["flight_time"][-1, 0] == pytest.approx(cycle, abs=1e-9)
 
 
-def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path, small_spec):
-    spec = small_spec(protocol=ramp("gamma", "up"))
+def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path):
+    spec = small(protocol=ramp("gamma", "up"))
     plan, url = stored(tmp_path, spec, (2, 3, 5))
     message = "chunk 1 continues chunk 0 of the ramp, which is not stored"
     with pytest.raises(PredecessorMissing, match=message):
@@ -132,9 +133,9 @@ def test_after_a_diverged_cell_a_ramp_starts_from_rest():
     assert task._start_at(end, (1,)).cell == Cell(1.0, 1.0, 1.0)
 
 
-def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path, small_spec):
+def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path):
     """Computing it would take an hour."""
-    spec = small_spec(gamma=[2.0, 3.0], settle=10_000_000)
+    spec = small(gamma=[2.0, 3.0], settle=10_000_000)
     with pytest.raises(store.StoreMissing, match="no store here"):
         run_chunk(spec, make_plan(spec, (1, 1, 12))[0], str(tmp_path / "nowhere.zarr"))
     _, url = stored(tmp_path, spec, (1, 3, 2))
@@ -153,9 +154,9 @@ PAUSING = {
 
 
 @pytest.mark.parametrize(("changes", "steps"), PAUSING.values(), ids=PAUSING.keys())
-def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeypatch, changes, steps):
+def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, monkeypatch, changes, steps):
     cut_finely(monkeypatch, steps)
-    spec = small_spec(**changes)
+    spec = small(**changes)
     plan, whole = stored(tmp_path / "whole", spec)
     _, url = stored(tmp_path, spec, plan.chunk_shape)
     for chunk in plan:
@@ -167,9 +168,9 @@ def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, small_spec, monkeyp
     assert files(url) == files(whole)
 
 
-def test_a_checkpoint_of_another_line_begins_anew(tmp_path, small_spec, monkeypatch):
+def test_a_checkpoint_of_another_line_begins_anew(tmp_path, monkeypatch):
     cut_finely(monkeypatch, 100)
-    spec = small_spec(model={"kind": "soft"}, protocol=ramp("gamma", "up"), exponents=1)
+    spec = small(model={"kind": "soft"}, protocol=ramp("gamma", "up"), exponents=1)
     plan, url = stored(tmp_path, spec, (2, 3, 10))
     saved = {"done": 0}
     while saved["done"] < 2:
@@ -185,9 +186,9 @@ def test_a_checkpoint_of_another_line_begins_anew(tmp_path, small_spec, monkeypa
     assert files(url) == files(whole)
 
 
-def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec, monkeypatch, caplog):
+def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, monkeypatch, caplog):
     cut_finely(monkeypatch, 100)
-    spec = small_spec()
+    spec = small()
     plan, url = stored(tmp_path, spec)
     _, whole = stored(tmp_path / "whole", spec)
     Path(url, ".checkpoint-0").mkdir()  # where the file should be
@@ -200,9 +201,9 @@ def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, small_spec
 
 
 @pytest.mark.parametrize("exponents", [0, 1], ids=["in lanes", "one by one"])
-def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents):
+def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, exponents):
     """A single cell takes a quarter of a minute at least."""
-    spec = small_spec(
+    spec = small(
         gamma=3.7, omega=0.5, xi=0.05, model={"kind": "soft"}, exponents=exponents, settle=10_000_000,
         observe=10_000_000,
     )  # fmt: skip
@@ -215,8 +216,8 @@ def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, small_spec, exponents)
     assert not store.read_slice(url, ["outcome"])["outcome"].any()
 
 
-def test_an_error_names_the_cells(tmp_path, monkeypatch, small_spec):
-    spec = small_spec(gamma=[1.0, 2.0, 3.5], omega=0.5, xi=0.05)
+def test_an_error_names_the_cells(tmp_path, monkeypatch):
+    spec = small(gamma=[1.0, 2.0, 3.5], omega=0.5, xi=0.05)
     plan, url = stored(tmp_path, spec)
     monkeypatch.setattr(task, "_line_run", None)
     with pytest.raises(TypeError) as caught:
