@@ -47,7 +47,8 @@ def test_a_periodic_cell_stays_so_or_has_too_few_flights(shortest: float):
     """One cycle in the stored flights is enough."""
     plate = PLATES["rigid, e = 0.3"]
     stored, expected = run(plate, 0.05, keep=16), run(plate, shortest)
-    found = recount(stored.flight_time, stored.takeoff_phase, stored.flights, modes(stored), 0.05, shortest)
+    modes = Modes(stored.outcome, stored.bounces, stored.periods)
+    found = recount(stored.flight_time, stored.takeoff_phase, stored.flights, modes, 0.05, shortest)
     periodic = stored.outcome == Outcome.PERIODIC
     assert set(found.outcome[periodic]) == {Outcome.PERIODIC, Outcome.UNRESOLVED}
     still = periodic & (found.outcome == Outcome.PERIODIC)
