@@ -50,7 +50,7 @@ _NEXT_HOP: Final = 2e-3
 _REST, _NOTHING = 1e-2, 1e-4
 
 #: Defaults: points of a branch each way, signatures on it, and range of the parameter.
-POINTS: Final = 300
+POINTS: Final = 360
 SIGNATURES: Final = 40
 RANGE: Final = (0.05, 8.0)
 

@@ -64,6 +64,10 @@ def plate(*, restitution: NDArray[np.float64], penetration: NDArray[np.float64],
     return SoftPlate(np.ascontiguousarray(restitution), np.ascontiguousarray(penetration), bool(adhesive))
 
 
+#: Rounding of the gap's acceleration, in those of the plate: it is zero at a take-off.
+ROUNDING: Final = 1e-9
+
+
 class Recontact(NamedTuple):
     """kappa gap + beta gap' as the phase function of a flight below the surface; zero at recontact."""
 
@@ -103,7 +107,7 @@ def _flies(s: SoftSpring, phi: PlatePhase, state: State) -> bool:
     """Not in contact under the cell's law; on the surface, without a velocity, if the gap opens."""
     if state.gap == 0.0 and state.gap1 == 0.0:
         opening = phi.cos - s.gravity + s.flight.damping * state.q1 + 0.5 * s.flight.stiffness * state.q
-        return opening > 0.0
+        return opening > -ROUNDING
     return lifted_off(state.gap, state.gap1, s.kappa, 0.0 if s.adhesive else s.beta)
 
 
