@@ -222,7 +222,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         plots = page.locator(".panel .plot")
         assert plots.count() == 1
         plots.first.hover()
-        page.locator(".readout .entry", has_text="sweep: sweep 0.2 · ξ = 0.2").wait_for()
+        page.locator(".readout .entry", has_text="sweep: sweep 0.2 · Ω = 0.6 · ξ = 0.2").wait_for()
         texts = page.locator(".panel .plot").inner_text()
         assert all(text in texts for text in ("Ω = 0.6", "sweep 0.05, ξ = 0.05", "sweep 0.1, ξ = 0.1"))
         screenshot(page, "compare-overlay")

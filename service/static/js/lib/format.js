@@ -13,6 +13,9 @@ export function number(value, digits = 5) {
   return decimal.replaceAll("-", "−");
 }
 
+/** A number in a table; in files it is not rounded. */
+export const exact = (value, whole, digits) => (whole ? String(value) : number(value, digits));
+
 /** The number that a decimal text stands for; NaN of any other, such as 0x10. */
 export const numberIn = (text) => (/^[-+]?[\d.]+(e[-+]?\d+)?$/i.test(text) ? Number(text) : NaN);
 

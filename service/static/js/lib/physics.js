@@ -56,6 +56,9 @@ export function axisText(value, values) {
 /** A column of a table with values of an axis; in files they are not rounded. */
 export const axisColumn = (title, values, valueOf) => [title, (item, whole) => (whole ? String(valueOf(item)) : axisText(valueOf(item), values))];
 
+/** Digits down to the bound of an error, from 2 to 8; four without one. */
+export const digitsTo = (value, bound) => clamp(1 + Math.floor(Math.log10(value)) - Math.floor(Math.log10(bound)), 2, 8) || 4;
+
 /** The index of the value nearest to `target`; `values` increase. */
 export function nearestIndex(values, target) {
   let [low, high] = [0, values.length - 1];

@@ -3,7 +3,7 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
-import { number } from "../lib/format.js";
+import { exact, number } from "../lib/format.js";
 import { axisLabel, clamp, startName, threshold } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { verticalLine } from "../plot/drawing.js";
@@ -34,13 +34,14 @@ export class Cycles extends PlotView {
 
   read([result]) {
     this.branches = readBranches(result);
-    [this.omega, this.xi, this.maxGamma] = [result.omega.data, result.xi.data, result.attrs.gamma_max];
+    [this.spring, this.maxGamma] = [{ omega: result.omega.data, xi: result.xi.data }, result.attrs.gamma_max];
   }
 
   #events() {
+    if (!this.isLoaded) return [[], []];
     const columns = [["event", ({ kind }) => eventName(kind)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
-      ["Γ", ({ gamma }) => number(gamma, 7)], ["φ (rad)", ({ flight_time: time }) => number(time, 6)]];
-    return [columns, (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
+      ["Γ", ({ gamma }, whole) => exact(gamma, whole, 7)], ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole, 6)], ...this.common(this.spring)];
+    return [columns, this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */
@@ -50,10 +51,10 @@ export class Cycles extends PlotView {
   }
 
   content() {
-    const { omega, xi } = this;
+    const { omega, xi } = this.spring;
     return {
       ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
-      title: this.textOf({ omega, xi }),
+      title: this.textOf(this.spring),
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
@@ -73,8 +74,8 @@ export class Cycles extends PlotView {
   }
 
   columnsOfTable() {
-    return [["Γ", ({ gamma }) => number(gamma)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
-      ["φ (rad)", ({ flight_time: time }) => number(time)], ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
+    return [["Γ", ({ gamma }, whole) => exact(gamma, whole)], ...this.common(this.spring), ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
+      ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole)], ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
   }
 
   /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
@@ -94,7 +95,7 @@ export class Cycles extends PlotView {
   }
 
   describe(cell) {
-    return cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`;
+    return `${cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`} · ${this.textOf(this.spring)}`;
   }
 
   cellOf({ gamma, periods, flight_time: time }) {

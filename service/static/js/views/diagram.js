@@ -3,8 +3,8 @@
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, startName, threshold } from "../lib/physics.js";
+import { exact } from "../lib/format.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, digitsTo, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, startName, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
@@ -249,14 +249,15 @@ export class Diagram extends PlotView {
   }
 
   columnsOfTable() {
-    const [first] = this.lines;
+    const isOne = (valueOf) => new Set(this.lines.map(valueOf)).size < 2;
+    const { fixed = {}, direction = "rest" } = this.lines[0] ?? {};
     return [
       axisColumn(SYMBOL[this.along], this.grid[this.along], ({ line, cell }) => line.values[cell]),
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
-      ...(first ? this.#fixed(false).map((axis) => axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis])) : []),
-      ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
+      ...AXES.filter((axis) => axis in fixed).map((axis) => [...axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis]), isOne((line) => line.fixed[axis])]),
+      ...(isOne((line) => line.direction) && direction === "rest" ? [] : [["ramp", ({ line }) => line.direction, isOne((line) => line.direction)]]),
       ...cellColumns(Object.assign({}, ...this.lines), ({ line, cell }) => [line, cell]),
-      ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
+      ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole, line.flight_error?.[cell])],
     ];
   }
 
@@ -283,7 +284,7 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.periods) return `${describeCycle(cell)} · press to see it move`;
+    if (cell.periods) return `${describeCycle(cell)} · ${this.textOf(this.lines[0].fixed)} · press to see it move`;
     if (!this.isCompared) return super.describe(cell);
     return this.#atCurrent().map((entry) => h("span", { className: "entry" }, swatch(this.#colour(entry.line, theme())), `${super.describe(entry)} `));
   }
@@ -339,6 +340,6 @@ function drawSelected(ctx, box, value, colour) {
 
 /** The distinct flight times of one cell, shortest first. */
 const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
-const flightsText = (times, whole) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
+const flightsText = (times, whole, bound) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => exact(time, whole, digitsTo(time, bound))).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

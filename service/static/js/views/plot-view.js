@@ -4,7 +4,7 @@ import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn,
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, button, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, SYMBOL, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisColumn, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue, isSweep } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
@@ -92,6 +92,9 @@ export class PlotView {
 
   /** "Ω = 0.5,   ξ = 0.26" */
   textOf = (place) => Object.entries(place).map(([axis, value]) => `${SYMBOL[axis]} = ${axisText(value, this.grid[axis])}`).join(",   ");
+
+  /** Columns of what all cells shown have in common, which their title says: for files and readings. */
+  common = (place) => Object.entries(place).map(([axis, value]) => [...axisColumn(SYMBOL[axis], this.grid[axis], () => value), true]);
 
   /** The window zoomed to; null for everything. */
   get window() {

@@ -135,9 +135,9 @@ export class Thresholds extends PlotView {
 
   columnsOfTable() {
     const gammaText = (gamma) => axisText(gamma, this.grid.gamma);
-    const value = (title, name, text, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? text(row[name]) : otherwise(row))];
+    const value = (title, name, text, otherwise = () => "") => [title, ({ row }, whole) => (Number.isFinite(row[name]) ? (whole ? String : text)(row[name]) : otherwise(row))];
     const text = (name) => [name, ({ row }) => inSymbols(row[name] ?? "")];
-    return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), value("Eq. 25", "analytic", gammaText),
+    return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), ...this.common({ xi: this.xi }), value("Eq. 25", "analytic", gammaText),
       ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
       ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("difference")] : [])];
