@@ -1,10 +1,11 @@
 // The motion of a cell, a cycle or a start: played, in words, with its return map, phase portrait and values.
 
+import { cellQuery, link } from "../lib/address.js";
 import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
 import { button, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, axisText, axisValues, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
+import { AXES, EXPLORED, axisText, axisValues, clamp, cycleText, exploredContact, hasOwnCycles, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Player, periodsOf } from "./player.js";
 import { MIN_FLIGHT, Portraits } from "./portraits.js";
@@ -44,6 +45,10 @@ export class TrajectoryPanel {
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
     this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
     this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
+    const contact = job.id && exploredContact(job.spec.model);
+    this.explore.hidden = !contact || AXES.some((axis) => clamp(cell[axis], ...EXPLORED[axis]) !== cell[axis]);
+    const { cell: started, ...spring } = cellQuery(cell);
+    this.explore.href = link(["explore"], { ...spring, ...contact, cell: start && start.kind !== "attractor" ? started : null });
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
     let path, options, cycle; // cycle: its plate periods
@@ -75,6 +80,7 @@ export class TrajectoryPanel {
   #build() {
     this.about = h("p", { className: "note" });
     this.title = h("h2", { tabindex: "-1" });
+    this.explore = h("a", {}, "Explore this spring");
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
     this.proof = h("div", { hidden: true, role: "status" });
@@ -87,7 +93,7 @@ export class TrajectoryPanel {
     const close = button("×", this.onClose, { className: "quiet close", "aria-label": "Close", title: "Close" });
     this.root.hidden = false;
     this.root.replaceChildren(
-      h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
+      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.proof, this.files, this.values),
       h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
       this.portraits.element,
       ...(this.onClose ? [close] : []));

@@ -14,6 +14,7 @@ const FOLD_WIDTH = 1.8; // px
 const [STABLE, UNSTABLE] = [{ width: 2, dash: [] }, { width: 1.4, dash: [6, 4] }];
 const NEAR_PX = 9; // a pointer nearer to a branch than to any flight selects the cycle
 const MARK_PX = 4;
+const RING_PX = MARK_PX + 2; // within which a pointer is on an event
 
 /** Labels of events, where they are not their kind. */
 const EVENTS = {
@@ -87,15 +88,18 @@ export function foldsOver(view) {
   const { omega, gamma } = view.grid;
   const fixed = { omega_start: omega[0], omega_stop: omega.at(-1), modes: FOLD_MODES, kinds: "fold", gamma_max: gamma.at(-1) };
   const path = () => `/v1/curves?${query({ xi: view.place.xi, ...fixed, ...contactQuery(view.job.spec.model) })}`;
-  return new CyclesOverlay(view, "Folds", "folds", path, (result) => ({ curves: partsOf(result, "curve"), points: partsOf(result, "event") }));
+  return new CyclesOverlay(view, "Folds", "folds", path, (result) => ({ branches: partsOf(result, "curve").map(foldsOf), events: partsOf(result, "event") }));
 }
 
+const foldsOf = ({ omega, gamma, flight_time: times, violations, ...curve }) => Array.from(omega, (value, i) => ({
+  ...curve, omega: value, gamma: gamma[i], flight_time: times[i], violations: violations[i],
+}));
+
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
-export function drawFolds(ctx, box, { curves, points }) {
-  const pixel = (omega, gamma) => [box.x.pixel(omega), box.y.pixel(gamma)];
-  const lines = curves.map(({ omega, gamma, violations }) => curve(Array.from(omega, (value, i) => (violations[i] ? null : [value, gamma[i]])), box));
+export function drawFolds(ctx, box, { branches, events }) {
+  const lines = branches.map((folds) => curve(folds.map(({ omega, gamma, violations }) => (violations ? null : [omega, gamma])), box));
   for (const line of lines) polyline(ctx, box.theme.branch, FOLD_WIDTH, line);
-  drawEvents(ctx, box, points.map((point) => ({ ...point, position: pixel(point.omega, point.gamma) })), lines.flat().filter(Boolean));
+  drawEvents(ctx, box, events.map((event) => ({ ...event, position: [box.x.pixel(event.omega), box.y.pixel(event.gamma)] })), lines.flat().filter(Boolean));
 }
 
 export const foldLegend = (plate) => [[`fold${plate}`, (ctx, x, y, theme) => legendLine(ctx, theme.branch, FOLD_WIDTH, x, y)]];
@@ -155,12 +159,19 @@ function drawEvent(ctx, box, [px, py], text, taken) {
   box.texts.push({ text, x: label.left, y: label.top + 7, italic: true, colour: box.theme.branch });
 }
 
-/** The cycle nearest to a position in axis values, nearer than NEAR_PX; null if there is none. */
-export function nearestCycle({ branches }, box, x, y) {
+/** The cycle nearer than NEAR_PX to a position in axis values, null if there is none; where a ring is, its `event` with the cycle next to it. */
+export function nearestCycle({ branches, events }, box, x, y, valuesOf = ({ gamma, flight_time: time }) => [gamma, time]) {
   const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
-  const distance = ({ gamma, flight_time: time }) => Math.hypot(box.x.pixel(gamma) - px, box.y.pixel(time) - py);
-  const near = branches.flat().filter(({ violations }) => !violations).map((cycle) => [distance(cycle), cycle]).filter(([length]) => length < NEAR_PX);
-  return near.sort(([a], [b]) => a - b)[0]?.[1] ?? null;
+  const nearest = (items, limit) => {
+    const distances = items.filter(({ violations }) => !violations).map((item) => {
+      const [across, along] = valuesOf(item);
+      return [Math.hypot(box.x.pixel(across) - px, box.y.pixel(along) - py), item];
+    });
+    return distances.filter(([length]) => length < limit).sort(([a], [b]) => a - b)[0]?.[1] ?? null;
+  };
+  const event = nearest(events, RING_PX);
+  const cycle = nearest(branches.flat(), event ? Infinity : NEAR_PX);
+  return event ? { ...event, ...cycle, event } : cycle;
 }
 
 /** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first. */
@@ -169,8 +180,14 @@ export function cyclesAt({ branches }, gamma) {
   return branches.flatMap((branch) => branch.filter(isPassed)).sort((a, b) => a.flight_time - b.flight_time);
 }
 
-export const drawCycle = (ctx, box, { gamma, flight_time: time }) => circle(ctx, box.theme.cursor, 1.8, box.x.pixel(gamma), box.y.pixel(time), 5.5);
-export const describeCycle = (cycle) => `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`;
+export function drawCycle(ctx, box, cycle) {
+  const { gamma, flight_time: time } = cycle.event ?? cycle;
+  circle(ctx, box.theme.cursor, 1.8, box.x.pixel(gamma), box.y.pixel(time), 5.5);
+}
+
+export const describeCycle = (cycle) => (cycle.event ? describeEvent(cycle.event) : `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`);
+/** "fold (1, 1) · Γ = 0.7678248 · φ = 4.29437 rad" */
+export const describeEvent = ({ kind, bounces, periods, gamma, flight_time: time }) => `${eventName(kind)} (${bounces}, ${periods}) · Γ = ${number(gamma, 7)} · φ = ${number(time, 6)} rad`;
 
 export const branchLegend = (plate = "") => [["stable", STABLE], ["unstable", UNSTABLE]].map(([name, { width, dash }]) =>
   [name + plate, (ctx, x, y, theme) => legendLine(ctx, theme.branch, width, x, y, dash)]);

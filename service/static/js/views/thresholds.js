@@ -6,7 +6,7 @@ import { number } from "../lib/format.js";
 import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
-import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
+import { describeEvent, drawFolds, foldLegend, foldsOver, nearestCycle } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { PlotView } from "./plot-view.js";
@@ -17,7 +17,7 @@ const BESIDE = 4; // px from the frequency, of two directions: both may lie beyo
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
 const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
 
-/** Cells are {row, y}: what the service found at an Ω and, from the pointer, a Γ. Numbers that are not there are NaN. */
+/** Cells are {row, y, fold}: what the service found at an Ω and, from the pointer, a Γ and the fold there. Numbers that are not there are NaN. */
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
@@ -117,7 +117,8 @@ export class Thresholds extends PlotView {
   computed = () => (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
 
   nearest(x, y) {
-    return { row: this.rows[nearestIndex(this.omega, x)], y };
+    const fold = this.overlay?.data && this.plot.box && nearestCycle(this.overlay.data, this.plot.box, x, y, ({ omega, gamma }) => [omega, gamma]);
+    return { row: this.rows[nearestIndex(this.omega, x)], y, fold: fold?.event ?? fold };
   }
 
   step(current, right) {
@@ -127,6 +128,11 @@ export class Thresholds extends PlotView {
 
   at({ row, y }) {
     return [row.omega, y];
+  }
+
+  describe(cell) {
+    const { fold } = cell;
+    return `${fold ? `${describeEvent(fold)} · Ω = ${number(fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
   }
 
   cellsShown() {
