@@ -644,6 +644,7 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
         below = page.get_by_role("img", name="Largest Lyapunov exponent")
         below.wait_for()
         wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
+        assert "λ₁ per plate period" in below.inner_text()
 
 
 def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):

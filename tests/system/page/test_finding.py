@@ -183,11 +183,11 @@ def test_studies_are_told_apart_by_contact_exponents_and_plane(browser: Any, man
     ]
     with opened(browser, many) as page:
         said = page.evaluate(_SUMMARIES, specs)
-    assert [text.removeprefix("Γ 1 · Ω 0.5 · ξ 0.2 · ") for text in said] == [
+    assert [text.removeprefix("Γ 1 · Ω 0.5 · ξ 0.2 · ").replace("\xa0", " ") for text in said] == [
         "from rest · rigid, e 0 · 2 exponents",
         "from rest · soft, e 0.2, d 0.01",
         "from rest · soft, e 0.2, Λ 9, never pulling",
-        "study: basin, plane of contact, 48 × 32 · soft, e 0.2, d 0.01",
+        "study: basin, 48 × 32 contacts · soft, e 0.2, d 0.01",
     ]
 
 

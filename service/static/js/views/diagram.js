@@ -62,6 +62,7 @@ export class Diagram extends PlotView {
     return {
       margins: [left, this.plot.element.clientWidth - left - width],
       x: { label: "", low: x.low, high: x.high, log: x.log },
+      title: "λ₁ per plate period",
       y: { label: "λ₁", low: low - margin, high: high + margin },
       layers: [
         (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.left, box.y.pixel(0)], [box.left + box.width, box.y.pixel(0)]]),

@@ -70,7 +70,7 @@ export function summary({ spec, choice }) {
 /** "soft, e 0.2, d 0.01": a contact with its parameters. */
 function contactText({ kind, adhesive = true, ...parameters }, choice) {
   const known = Object.entries(parameters).filter(([, value]) => value !== null)
-    .map(([name, value]) => (typeof value === "number" ? `${PARAMETER[name] ?? name.replaceAll("_", " ")} ${number(value)}` : value));
+    .map(([name, value]) => (typeof value === "number" ? `${PARAMETER[name] ?? name.replaceAll("_", " ")}\u00a0${number(value)}` : value));
   return [choice ? `${kind} → ${choice.model}` : kind, ...known, ...(adhesive ? [] : ["never pulling"])].join(", ");
 }
 
@@ -104,7 +104,7 @@ function rangeText(axis) {
 
 function protocolText({ kind, axis, direction, start, plane, rows, columns }) {
   if (kind === "rest") return "from rest";
-  if (kind !== "ramp") return `study: ${kind}${plane ? `, plane of ${plane}, ${columns} × ${rows}` : ""}`;
+  if (kind !== "ramp") return `study: ${kind}${plane ? `, ${columns} × ${rows} ${plane}s` : ""}`;
   const from = start ? ` from the cycle (1, ${start.periods})` : "";
   return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}${from}`;
 }
