@@ -148,15 +148,9 @@ export function contactQuery({ kind, restitution, penetration, adhesive }) {
   return kind === "soft" && penetration && restitution < 1 ? { model: kind, restitution, penetration, adhesive } : {};
 }
 
-const isIdeal = ({ kind, restitution }) => kind === "rigid" && !restitution;
+export const isIdeal = ({ kind, restitution }) => kind === "rigid" && !restitution;
 /** Springs that Explore shows: from, to and step of each axis. */
 export const EXPLORED = { gamma: [0.1, 8, 0.01], omega: [0.12, 2, 0.005], xi: [0, 1, 0.005] };
-/** The contact of Explore that a model is, as its address has it; null where there is none. A study of cycles has the ideal plate. */
-export function exploredContact(model = { kind: "rigid" }) {
-  const { model: contact, restitution, penetration, adhesive = true } = contactQuery(model);
-  return adhesive && (contact || isIdeal(model)) ? { contact, restitution, penetration } : null;
-}
-
 export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model ?? {});
 /** What legends add to cycles of an ideal plate over a sweep on another contact. */
 export const ofOtherPlate = (job) => (hasOwnCycles(job) || isIdeal(job.spec.model) ? "" : ", ideal plate");

@@ -5,7 +5,7 @@ import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
 import { button, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, EXPLORED, axisText, axisValues, clamp, cycleText, exploredContact, hasOwnCycles, startOf } from "../lib/physics.js";
+import { AXES, EXPLORED, axisText, axisValues, clamp, contactQuery, cycleText, hasOwnCycles, isIdeal, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Player, periodsOf } from "./player.js";
 import { MIN_FLIGHT, Portraits } from "./portraits.js";
@@ -45,10 +45,11 @@ export class TrajectoryPanel {
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
     this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
     this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
-    const contact = job.id && exploredContact(job.spec.model);
-    this.explore.hidden = !contact || AXES.some((axis) => clamp(cell[axis], ...EXPLORED[axis]) !== cell[axis]);
-    const { cell: started, ...spring } = cellQuery(cell);
-    this.explore.href = link(["explore"], { ...spring, ...contact, cell: start && start.kind !== "attractor" ? started : null });
+    const { model = { kind: "rigid" } } = job.spec; // of cycles in closed form
+    const { model: contact, adhesive = true, ...parameters } = contactQuery(model);
+    const isThere = job.id && adhesive && (contact || isIdeal(model)) && AXES.every((axis) => clamp(cell[axis], ...EXPLORED[axis]) === cell[axis]);
+    const place = { ...cellQuery(cell), ...(start && start.kind !== "attractor" ? {} : { cell: null }) };
+    Object.assign(this.explore, { hidden: !isThere, href: link(["explore"], { ...place, contact, ...parameters }) });
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
     let path, options, cycle; // cycle: its plate periods
@@ -192,7 +193,6 @@ function startText(direction, job) {
   const start = startOf(direction);
   if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor" && start.number === 1) return "on the attractor that most drops reach";
   if (start?.kind === "attractor") return `on the attractor that is number ${start.number} by the drops that reach it`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;

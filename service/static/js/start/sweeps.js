@@ -118,8 +118,8 @@ export class SweepList {
 
   /** Show another page of the list. The heading takes the keyboard focus: the pressed button disappears. */
   #turn(cursors) {
+    if (cursors !== this.cursors) setQuery({ pages: cursors.slice(1).join() || null });
     this.cursors = cursors;
-    setQuery({ pages: cursors.slice(1).join() || null });
     this.refresh();
     document.getElementById("sweeps")?.focus();
   }

@@ -4,10 +4,10 @@ import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
 import { exact, number } from "../lib/format.js";
-import { axisLabel, clamp, startName, threshold } from "../lib/physics.js";
+import { axisLabel, clamp, threshold } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { verticalLine } from "../plot/drawing.js";
-import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches } from "./closed-form.js";
+import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches, startOn } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { drawThreshold } from "./diagram.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
@@ -39,9 +39,7 @@ export class Cycles extends PlotView {
 
   #events() {
     if (!this.isLoaded) return [[], []];
-    const columns = [["event", ({ kind }) => eventName(kind)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
-      ["Γ", ({ gamma }, whole) => exact(gamma, whole, 7)], ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole, 6)], ...this.common(this.spring)];
-    return [columns, this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
+    return [[["event", ({ kind }) => eventName(kind)], ...this.#columns(7, 6)], this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */
@@ -73,9 +71,13 @@ export class Cycles extends PlotView {
     return this.branches.branches.flat().filter(({ gamma, flight_time: time, violations }) => !violations && this.isVisible(gamma, time));
   }
 
+  #columns(...digits) {
+    return [["Γ", ({ gamma }, whole) => exact(gamma, whole, digits[0])], ...this.common(this.spring),
+      ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`], ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole, digits[1])]];
+  }
+
   columnsOfTable() {
-    return [["Γ", ({ gamma }, whole) => exact(gamma, whole)], ...this.common(this.spring), ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
-      ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole)], ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
+    return [...this.#columns(), ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
   }
 
   /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
@@ -98,7 +100,7 @@ export class Cycles extends PlotView {
     return `${cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`} · ${this.textOf(this.spring)}`;
   }
 
-  cellOf({ gamma, periods, flight_time: time }) {
-    return periods ? { ...this.place, gamma, direction: startName("cycle", periods, time) } : null;
+  cellOf(cell) {
+    return cell.periods ? startOn(this.place, cell) : null;
   }
 }

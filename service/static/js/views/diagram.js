@@ -4,13 +4,13 @@ import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
 import { exact } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, digitsTo, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, startName, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, digitsTo, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
 import { cellBorders, cellExtent } from "../plot/scale.js";
-import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
+import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle, startOn } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
@@ -273,8 +273,8 @@ export class Diagram extends PlotView {
     return line ? [line.values[cell], flightsIn(line, cell)[0]] : [gamma, time];
   }
 
-  cellOf({ line, cell, gamma, periods, flight_time: time }) {
-    if (!line) return { ...this.place, gamma, direction: startName("cycle", periods, time) };
+  cellOf({ line, cell, ...cycle }) {
+    if (!line) return startOn(this.place, cycle);
     return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
   }
 

@@ -20,10 +20,8 @@ const kept = new Map();
 const SHARED_FILES = JSON.parse(document.getElementById("measured")?.textContent ?? "[]");
 
 /** Downloads of all that a study stores; of a sweep a page to share too, with what was dropped on its plots. */
-export const wholeStudy = (job, formats) => [
-  ...resultFiles(job, () => (isSweep(job.spec) ? "sweep" : job.spec.protocol.kind), formats, () => `/v1/jobs/${job.id}/export?`), ...(isSweep(job.spec) ? [sharedPage(job)] : []),
-];
-
+export const wholeStudy = (job, formats, name = isSweep(job.spec) ? "sweep" : job.spec.protocol.kind) =>
+  [...resultFiles(job, () => name, formats, () => `/v1/jobs/${job.id}/export?`), ...(name === "sweep" ? [sharedPage(job)] : [])];
 const sharedPage = (job) => ["a page to share", () => fileName(job, "sweep", "html"), async () => {
   const page = await requestBlob(`/v1/jobs/${job.id}/export?format=html`);
   const files = [...kept].filter(([key]) => key.startsWith(job.id)).map(([, { name, text, value }]) => ({ name, text, value }));
@@ -40,8 +38,8 @@ export class MeasuredPoints {
     this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#keep(null), { className: "link" }));
     const take = ({ target }) => target.files.length && this.take(target.files[0]);
     const about = `A CSV file whose columns are some of ${COLUMNS.join(", ")}, dropped on the page or chosen here: `;
-    const section = h("details", { className: "paged" }, h("summary", {}, "Measured points"), h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onchange: take })));
-    this.elements = [this.problem.element, this.line, section];
+    const choose = h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onchange: take }));
+    this.elements = [this.problem.element, this.line, h("details", { className: "paged" }, h("summary", {}, "Measured points"), choose)];
     const file = SHARED_FILES.find((shared) => shared.value === value);
     if (file && !kept.has(this.key)) this.take({ ...file, text: () => file.text });
   }

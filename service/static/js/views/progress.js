@@ -109,8 +109,6 @@ function protocolText({ kind, axis, direction, start, plane, rows, columns }) {
   return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}${from}`;
 }
 
-const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
-
 /** Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. */
 function showActions(root, job, on) {
   const actions = UNFINISHED.has(job.state) ? ["cancel"] : [...(RESUMABLE.has(job.state) ? ["resume"] : []), "delete"];
@@ -118,9 +116,8 @@ function showActions(root, job, on) {
   if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);
   root.dataset.actions = shown;
-  root.replaceChildren(...actions.map((action) => workButton(ACTION_TITLES[action], () => run(action, job, on), on.error, {
-    className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`,
-  })));
+  const title = (action) => action[0].toUpperCase() + action.slice(1);
+  root.replaceChildren(...actions.map((action) => workButton(title(action), () => run(action, job, on), on.error, { className: "quiet", "aria-label": `${title(action)} ${titleOf(job)}` })));
   if (hadFocus) root.querySelector("button")?.focus();
 }
 

@@ -6,7 +6,7 @@ import { number } from "../lib/format.js";
 import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
-import { describeEvent, drawFolds, foldLegend, foldsOver, nearestCycle } from "./closed-form.js";
+import { describeEvent, drawFolds, foldLegend, foldsOver, nearestCycle, overOmega } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { PlotView } from "./plot-view.js";
@@ -117,8 +117,8 @@ export class Thresholds extends PlotView {
   computed = () => (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
 
   nearest(x, y) {
-    const fold = this.overlay?.data && this.plot.box && nearestCycle(this.overlay.data, this.plot.box, x, y, ({ omega, gamma }) => [omega, gamma]);
-    return { row: this.rows[nearestIndex(this.omega, x)], y, fold: fold?.event ?? fold };
+    const fold = this.overlay?.data && this.plot.box && nearestCycle(this.overlay.data, this.plot.box, x, y, overOmega);
+    return { row: this.rows[nearestIndex(this.omega, x)], y, fold };
   }
 
   step(current, right) {
@@ -131,8 +131,7 @@ export class Thresholds extends PlotView {
   }
 
   describe(cell) {
-    const { fold } = cell;
-    return `${fold ? `${describeEvent(fold)} · Ω = ${number(fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
+    return `${cell.fold ? `${describeEvent(cell.fold)} · Ω = ${number(cell.fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
   }
 
   cellsShown() {
