@@ -956,7 +956,9 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         expected = {name: about["data"] for name, about in (answer["coords"] | answer["data_vars"]).items()}
         wait_for(lambda: page.locator("#status").inner_text())
         text = page.locator("#status").inner_text()
-        assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: {expected['analytic'][4]:.4g}")
+        assert text.startswith(
+            f"Ω = {expected['omega'][4]:g} · ξ = 0.05 · Eq. 25: {expected['analytic'][4]:.4g}"
+        )
         assert expected["up_status"][4] == "found"
         assert f"ramp up: {expected['up'][4]:.4g}" in text
         screenshot(page, "thresholds")
