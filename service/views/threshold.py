@@ -134,7 +134,7 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
     data["analytic"] = np.where(is_spring & np.isfinite(analytic), analytic, np.nan)
     contact = f"{IDEAL}: the contact of the sweep"
     if not is_ideal(spec.model):
-        contact = f"{IDEAL}: not the contact of the sweep, which is {spec.model.kind}"
+        contact = f"{IDEAL}: not the contact of the sweep, which is {name_of(spec.model)}"
     if query.predict == "search" or (query.predict == "cells" and study.chunks_done):
         own = name_of(orbits.contact_of(spec))
         how = "searches" if query.predict == "search" else "cycles continued from the sweep's cells"

@@ -10,7 +10,7 @@ from kernel.params import KernelInputError
 from service.errors import InvalidRequest
 from service.views.view import Number, Query
 from worker.orbits.specification import MAX_GRID, Mode, check_modes, read_mode
-from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Rigid, Soft
+from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, ContactFields, Rigid, Soft
 from worker.spec.errors import BrokenRuleError, SpecInvalid
 
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
@@ -51,12 +51,15 @@ class ContactQuery(Query):
             raise InvalidRequest("; ".join(map(str, error.problems)), error.problems) from error
 
 
-def name_of(plate: Rigid | Soft) -> str:
+def name_of(plate: ContactFields) -> str:
     """A contact and its parameters as text."""
-    name = f"{plate.kind}, restitution {plate.restitution:g}"
-    if isinstance(plate, Rigid):
-        return name
-    return f"{name}, penetration {plate.penetration:g}, {'adhesive' if plate.adhesive else 'not adhesive'}"
+    return ", ".join(_text(name, value) for name, value in plate.model_dump(exclude_none=True).items())
+
+
+def _text(name: str, value: object) -> str:
+    if isinstance(value, bool):
+        return name if value else f"not {name}"
+    return f"{name.replace('_', ' ')} {value:g}" if isinstance(value, int | float) else str(value)
 
 
 def parse_modes(text: str) -> tuple[Mode, ...]:

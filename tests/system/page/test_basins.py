@@ -54,6 +54,9 @@ def test_a_start_is_read_and_seen_to_move(browser: Any, address: str):
             assert again.locator(".trajectory header .note").inner_text() == about
             again.set_viewport_size({"width": 390, "height": 844})  # of a phone
             assert again.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        with page.expect_download() as download:
+            page.locator(".panel").get_by_label("Download NetCDF").click()
+        assert download.value.suggested_filename == "where-drops-lead-basin.nc"
         page.locator("#slider-gamma").fill("0")  # another cell
         wait_shown(page, gamma=0.6)
         assert "at rest" in page.locator(".panel .legend").inner_text()

@@ -635,6 +635,7 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
         below = page.get_by_role("img", name="Largest Lyapunov exponent")
         below.wait_for()
         wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
+        assert "λ₁ per plate period" in below.inner_text()
 
 
 def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
@@ -644,7 +645,8 @@ def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop
         # Γ = 0.65, between the margins of the plot: on the ramp down it bounces there.
         at = box["x"] + 58 + (0.65 - 0.3) / 1.1 * (box["width"] - 92), box["y"] + 150
         page.mouse.move(*at)
-        readout = page.locator(".panel .readout", has_text="Γ = 0.65 · mode (1, 1)")
+        text = "Γ = 0.65 · Ω = 0.6 · ξ = 0.05 · ramp: down · mode (1, 1)"
+        readout = page.locator(".panel .readout", has_text=text)
         readout.wait_for()
         page.mouse.click(*at)
         _phase_after(page, _phase_after(page, None))
@@ -782,7 +784,7 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         with page.expect_download() as download:
             page.get_by_role("button", name="Download table as CSV").click()
         table = Path(download.value.path()).read_text()
-        assert table.startswith("Γ,ramp,mode,flight times (rad)\n0.")
+        assert table.startswith("Γ,Ω,ξ,ramp,mode,flight times (rad)\n0.")
         assert not set("…–−^") & set(table)  # plain numbers, and all of them
         assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
 
@@ -900,6 +902,23 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
         screenshot(page, "modes-margin")
 
 
+def test_what_is_copied_and_saved_says_of_which_spring_and_as_sharply_as_known(browser: Any, address: str):
+    job = done(address, spec_of((1.6, 1.8, 5), [0.7, 0.9], 0.26))
+    stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram?omega=0.9", timeout=DEADLINE).json()
+    flight = stored["data_vars"]["flight_time"]["data"][2][0]
+    with opened(browser, view(address, job, omega=0.9)) as page:
+        wait_shown(page, omega=0.9)
+        page.locator(".panel .plot").press("ArrowRight")
+        said = page.locator(".panel .readout", has_text="Γ = 1.7 · Ω = 0.9 · ξ = 0.26 · mode (1, 1) · ")
+        assert f"flight times (rad): {flight:.8g}" in said.inner_text()
+        page.get_by_text("Table of what is shown").click()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        rows = list(csv.DictReader(Path(download.value.path()).read_text().splitlines()))
+        assert {(row["Ω"], row["ξ"]) for row in rows} == {("0.9", "0.26")}
+        assert float(rows[2]["flight times (rad)"]) == flight
+
+
 def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp_path: Path):
     with computing_at(tmp_path, max_points=1000) as address:
         job = done(address, spec_of((0.5, 6.0, 60), (0.4, 1.6, 40), 0.05, window=(2, 8, 8)))
@@ -923,7 +942,9 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         expected = {name: about["data"] for name, about in (answer["coords"] | answer["data_vars"]).items()}
         wait_for(lambda: page.locator("#status").inner_text())
         text = page.locator("#status").inner_text()
-        assert text.startswith(f"Ω = {expected['omega'][4]:g} · Eq. 25: {expected['analytic'][4]:.4g}")
+        assert text.startswith(
+            f"Ω = {expected['omega'][4]:g} · ξ = 0.05 · Eq. 25: {expected['analytic'][4]:.4g}"
+        )
         assert expected["up_status"][4] == "found"
         assert f"ramp up: {expected['up'][4]:.4g}" in text
         screenshot(page, "thresholds")

@@ -115,6 +115,25 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
 
 
+def test_an_event_is_read_where_it_is_marked_and_its_spring_explored(browser: Any, address: str, loop: str):
+    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1") as page:
+        wait_shown(page, omega=0.6)
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        texts = {readout_at(page, at): at for at in branch_pixels(page)[::4]}
+        flip = "flip (1, 1) · Γ = 0.7243831 · φ = 4.42474 rad · ξ = 0.05, Ω = 0.6 · press to see it move"
+        box = page.locator(PLOT).first.bounding_box()
+        page.mouse.click(box["x"] + texts[flip][0], box["y"] + texts[flip][1])
+        said = page.locator(".trajectory .readout", has_text="On the cycle (1, 1)").inner_text()
+        page.get_by_role("link", name="Explore this spring").click()
+        page.wait_for_url(re.compile(r"#/explore\?gamma=0\.7\d+&omega=0\.6&xi=0\.05&cell=.*,cycle"))
+        page.locator(".closed", has_text="Rest ends at Γ = ").wait_for()
+        assert page.locator(".trajectory .readout", has_text="On the cycle (1, 1)").inner_text() == said
+    with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05&folds=1") as page:
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        texts = {readout_at(page, at): at for at in branch_pixels(page)[::60]}
+        assert any(re.match(r"fold \(1, 1\) · Γ = 0\.\d+ · φ = .* · Ω = .*; Ω = ", text) for text in texts)
+
+
 def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str):
     """An unstable cycle that is pressed moves on the sweep's contact."""
     soft = done(address, LOOP | {"name": "Soft", "omega": [0.55, 0.6, 0.65], "model": {"kind": "soft"}})

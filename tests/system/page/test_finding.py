@@ -126,6 +126,11 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         page.get_by_role("button", name="Next page").click()
         page.get_by_text("26 to 30 of 30").wait_for()
         _wait_names(page, *(f"number {n:02}" for n in (4, 3, 2, 1, 0)))
+        page.wait_for_url(re.compile("pages="))
+        page.get_by_role("link", name="number 02").click()
+        page.get_by_role("heading", name="number 02").wait_for()
+        page.go_back()
+        page.get_by_text("26 to 30 of 30").wait_for()
         page.get_by_label("Order").select_option("by name")
         page.get_by_text("1 to 25 of 30").wait_for()
         assert _names(page)[0] == "number 00"
@@ -159,6 +164,31 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         page.once("dialog", lambda dialog: dialog.accept())
         page.locator(".selection").get_by_role("button", name="Delete").click()
         wait_for(lambda: len(_names(page)) == 25)  # the page before
+
+
+#: The line about each specification, in the list, the bar and comparisons.
+_SUMMARIES = """(specs) => import(new URL("static/js/views/progress.js", location)).then(({ summary }) =>
+    specs.map((spec) => summary({ spec }).map((part) => part.textContent ?? part).join("")))"""
+
+
+def test_studies_are_told_apart_by_contact_exponents_and_plane(browser: Any, many: str):
+    sweep = {"gamma": 1, "omega": 0.5, "xi": 0.2, "protocol": {"kind": "rest"}, "exponents": 0}
+    soft = {"kind": "soft", "restitution": 0.2, "penetration": 0.01, "rest_length": None, "adhesive": True}
+    plane = {"kind": "basin", "plane": "contact", "rows": 32, "columns": 48}
+    specs = [
+        sweep | {"model": {"kind": "rigid", "restitution": 0.0}, "exponents": 2},
+        sweep | {"model": soft},
+        sweep | {"model": soft | {"penetration": None, "rest_length": 9.0, "adhesive": False}},
+        sweep | {"model": soft, "protocol": plane},
+    ]
+    with opened(browser, many) as page:
+        said = page.evaluate(_SUMMARIES, specs)
+    assert [text.removeprefix("Γ 1 · Ω 0.5 · ξ 0.2 · ").replace("\xa0", " ") for text in said] == [
+        "from rest · rigid, e 0 · 2 exponents",
+        "from rest · soft, e 0.2, d 0.01",
+        "from rest · soft, e 0.2, Λ 9, never pulling",
+        "study: basin, 48 × 32 contacts · soft, e 0.2, d 0.01",
+    ]
 
 
 def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: list[str], tmp_path: Path):
@@ -222,7 +252,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         plots = page.locator(".panel .plot")
         assert plots.count() == 1
         plots.first.hover()
-        page.locator(".readout .entry", has_text="sweep: sweep 0.2 · ξ = 0.2").wait_for()
+        page.locator(".readout .entry", has_text="sweep: sweep 0.2 · Ω = 0.6 · ξ = 0.2").wait_for()
         texts = page.locator(".panel .plot").inner_text()
         assert all(text in texts for text in ("Ω = 0.6", "sweep 0.05, ξ = 0.05", "sweep 0.1, ξ = 0.1"))
         screenshot(page, "compare-overlay")

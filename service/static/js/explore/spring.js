@@ -4,7 +4,7 @@ import { cellIn, cellQuery, currentQuery, link, queryChanges, setQuery } from ".
 import { query } from "../lib/api.js";
 import { choice, h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
+import { AXES, EXPLORED, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
@@ -13,7 +13,7 @@ import { Cycles } from "../views/cycles.js";
 import { buildFrame } from "../views/frame.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
-const GRID = { gamma: range(0.1, 8, 0.01), omega: range(0.12, 2, 0.005), xi: range(0, 1, 0.005) };
+const GRID = Object.fromEntries(AXES.map((axis) => [axis, range(...EXPLORED[axis])]));
 const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
 const LONGEST = 6; // plate periods of a cycle
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };

@@ -48,7 +48,7 @@ export async function loadStudies() {
     ({ kind: properties.kind.const, about: firstClause(description), fields: fieldsOf(properties) });
   const studiesOf = ({ properties: { protocol, parent, ...own }, description, examples = [{}] }) => {
     const fields = Object.entries(fieldsOf(own));
-    const models = own.model && alternatives(own.model).map(modelOf);
+    const models = own.model && alternatives(own.model).map(modelOf).sort((a, b) => (b.kind === "auto") - (a.kind === "auto"));
     const studyOf = (kind, parts) => {
       const [title = firstClause(description), begin = examples[0]] = KINDS[kind] ?? [];
       const kept = fields.filter(([name]) => !WITHOUT[kind]?.includes(name));

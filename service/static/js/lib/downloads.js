@@ -19,8 +19,6 @@ export function downloads(files, note) {
 export const resultFiles = (job, content, formats, path, options) => formats.map(([label, format]) =>
   [label, () => fileName(job, content(), format), () => requestBlob(`${path(format)}&format=${format}`, options)]);
 
-export const wholeSweep = (job, formats) => resultFiles(job, () => "sweep", formats, () => `/v1/jobs/${job.id}/export?`);
-
 export function fileName(job, content, extension) {
   const name = job.name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").slice(0, 80).replace(/^-|-$/g, "");
   return `${name || job.id.slice(0, 8)}-${content}.${extension}`;

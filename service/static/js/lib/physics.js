@@ -56,6 +56,9 @@ export function axisText(value, values) {
 /** A column of a table with values of an axis; in files they are not rounded. */
 export const axisColumn = (title, values, valueOf) => [title, (item, whole) => (whole ? String(valueOf(item)) : axisText(valueOf(item), values))];
 
+/** Digits down to the bound of an error, from 2 to 8; four without one. */
+export const digitsTo = (value, bound) => clamp(1 + Math.floor(Math.log10(value)) - Math.floor(Math.log10(bound)), 2, 8) || 4;
+
 /** The index of the value nearest to `target`; `values` increase. */
 export function nearestIndex(values, target) {
   let [low, high] = [0, values.length - 1];
@@ -145,10 +148,12 @@ export function contactQuery({ kind, restitution, penetration, adhesive }) {
   return kind === "soft" && penetration && restitution < 1 ? { model: kind, restitution, penetration, adhesive } : {};
 }
 
+export const isIdeal = ({ kind, restitution }) => kind === "rigid" && !restitution;
+/** Springs that Explore shows: from, to and step of each axis. */
+export const EXPLORED = { gamma: [0.1, 8, 0.01], omega: [0.12, 2, 0.005], xi: [0, 1, 0.005] };
 export const hasOwnCycles = ({ spec }) => "model" in contactQuery(spec.model ?? {});
 /** What legends add to cycles of an ideal plate over a sweep on another contact. */
 export const ofOtherPlate = (job) => (hasOwnCycles(job) || isIdeal(job.spec.model) ? "" : ", ideal plate");
-const isIdeal = ({ kind, restitution }) => kind === "rigid" && !restitution;
 
 /** "cycle (1, 1), unstable · flight time 3.9 rad · multipliers 2.1, 0.3"; `multipliers`: real and imaginary part of two. */
 export function cycleText({ bounces, periods, stable, flight_time: time, multipliers: [re, im, otherRe] }) {

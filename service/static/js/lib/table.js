@@ -21,7 +21,7 @@ function textOf([columns, items], separator) {
   return rows.map((cells) => cells.map((cell) => plain(quoted(cell))).join(separator)).join("\n");
 }
 
-/** A table in pages, folded away. `read()`: its columns, [[title, (item, whole: not shortened) => text], …], and items; `name()`: of its file. */
+/** A table in pages, folded away. `read()`: its columns, [[title, (item, whole: not shortened) => text, isCommon: in files alone], …], and items; `name()`: of its file. */
 export class PagedTable {
   constructor(label, read, name, open = false) {
     Object.assign(this, { label, read, first: 0 });
@@ -37,7 +37,8 @@ export class PagedTable {
   /** While the table is open, show the rows that there are now, or those of the page before or after. */
   update(turn = 0) {
     if (!this.element.open) return;
-    const [columns, items] = this.read();
+    const [all, items] = this.read();
+    const columns = all.filter(([, , isCommon]) => !isCommon);
     const { length } = items;
     this.first = Math.max(0, Math.min(this.first + turn, Math.ceil(length / PAGE) * PAGE - PAGE));
     const last = Math.min(this.first + PAGE, length);

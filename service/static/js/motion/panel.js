@@ -1,10 +1,11 @@
 // The motion of a cell, a cycle or a start: played, in words, with its return map, phase portrait and values.
 
+import { cellQuery, link } from "../lib/address.js";
 import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
 import { button, h, problemLine, workButton } from "../lib/dom.js";
 import { downloads, fileName, resultFiles } from "../lib/downloads.js";
 import { number, plural } from "../lib/format.js";
-import { AXES, axisText, axisValues, cycleText, hasOwnCycles, startOf } from "../lib/physics.js";
+import { AXES, EXPLORED, axisText, axisValues, clamp, contactQuery, cycleText, hasOwnCycles, isIdeal, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Player, periodsOf } from "./player.js";
 import { MIN_FLIGHT, Portraits } from "./portraits.js";
@@ -44,6 +45,11 @@ export class TrajectoryPanel {
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
     this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
     this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
+    const { model = { kind: "rigid" } } = job.spec; // of cycles in closed form
+    const { model: contact, adhesive = true, ...parameters } = contactQuery(model);
+    const isThere = job.id && adhesive && (contact || isIdeal(model)) && AXES.every((axis) => clamp(cell[axis], ...EXPLORED[axis]) === cell[axis]);
+    const place = { ...cellQuery(cell), ...(start && start.kind !== "attractor" ? {} : { cell: null }) };
+    Object.assign(this.explore, { hidden: !isThere, href: link(["explore"], { ...place, contact, ...parameters }) });
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
     let path, options, cycle; // cycle: its plate periods
@@ -75,6 +81,7 @@ export class TrajectoryPanel {
   #build() {
     this.about = h("p", { className: "note" });
     this.title = h("h2", { tabindex: "-1" });
+    this.explore = h("a", {}, "Explore this spring");
     this.values = h("details", { hidden: true });
     this.files = h("div", {});
     this.proof = h("div", { hidden: true, role: "status" });
@@ -87,7 +94,7 @@ export class TrajectoryPanel {
     const close = button("×", this.onClose, { className: "quiet close", "aria-label": "Close", title: "Close" });
     this.root.hidden = false;
     this.root.replaceChildren(
-      h("div", { className: "facts" }, h("header", {}, this.title, this.about), this.proof, this.files, this.values),
+      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.proof, this.files, this.values),
       h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
       this.portraits.element,
       ...(this.onClose ? [close] : []));
@@ -186,7 +193,6 @@ function startText(direction, job) {
   const start = startOf(direction);
   if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
   if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor" && start.number === 1) return "on the attractor that most drops reach";
   if (start?.kind === "attractor") return `on the attractor that is number ${start.number} by the drops that reach it`;
   if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
   return direction === "rest" ? "from rest" : `ramp ${direction}`;

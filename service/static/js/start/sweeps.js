@@ -58,7 +58,7 @@ export class SweepList {
   show() {
     const query = currentQuery();
     for (const control of this.filters.elements) control.value = query[control.name] ?? "";
-    this.cursors = [null];
+    this.cursors = [null, ...(query.pages?.split(",") ?? [])];
     this.refresh();
   }
 
@@ -79,7 +79,7 @@ export class SweepList {
       }
       const hasManyPinned = pinned.total > MAX_PINNED;
       if (hasManyPinned !== this.hasManyPinned) {
-        Object.assign(this, { hasManyPinned, cursors: [null] });
+        this.hasManyPinned = hasManyPinned;
         return this.refresh(); // not show(), which would take back what is typed
       }
       const above = this.cursors.length === 1 ? pinned.jobs : [];
@@ -112,12 +112,13 @@ export class SweepList {
   }
 
   #find() {
-    setQuery(Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])));
+    setQuery({ ...Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])), pages: null });
     this.show();
   }
 
   /** Show another page of the list. The heading takes the keyboard focus: the pressed button disappears. */
   #turn(cursors) {
+    if (cursors !== this.cursors) setQuery({ pages: cursors.slice(1).join() || null });
     this.cursors = cursors;
     this.refresh();
     document.getElementById("sweeps")?.focus();

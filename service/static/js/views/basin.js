@@ -85,7 +85,7 @@ export class Basin extends PlaneView {
       const attractor = this.attractors[this.map[this.indexOf(cell)] - 1];
       return attractor ? attractorText(attractor) : "no attractor: undecided";
     };
-    return [axisColumn(across, this.columns, ({ column }) => this.columns[column]), axisColumn(along, this.rows, ({ row }) => this.rows[row]), ["reaches", reached]];
+    return [...this.common(this.cell), axisColumn(across, this.columns, ({ column }) => this.columns[column]), axisColumn(along, this.rows, ({ row }) => this.rows[row]), ["reaches", reached]];
   }
 }
 

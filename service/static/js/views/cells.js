@@ -49,7 +49,8 @@ export class PlaneView extends PlotView {
   indexOf = ({ column, row }) => row * this.columns.length + column;
 
   columnsOfPlane() {
-    return [axisColumn("Γ", this.grid.gamma, ({ column }) => this.columns[column]), axisColumn("Ω", this.grid.omega, ({ row }) => this.rows[row])];
+    const { gamma, omega } = this.grid;
+    return [axisColumn("Γ", gamma, ({ column }) => this.columns[column]), axisColumn("Ω", omega, ({ row }) => this.rows[row]), ...this.common({ xi: this.xi })];
   }
 
   cellOf({ column, row }) {

@@ -4,7 +4,7 @@ import { currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, contactQuery, cycleText, hasOwnCycles } from "../lib/physics.js";
+import { SYMBOL, contactQuery, cycleText, hasOwnCycles, startName } from "../lib/physics.js";
 import { circle, curve, disc, isInBox, legendLine, polyline } from "../plot/drawing.js";
 
 const FOLD_MODES = "1-1,1-2";
@@ -14,6 +14,7 @@ const FOLD_WIDTH = 1.8; // px
 const [STABLE, UNSTABLE] = [{ width: 2, dash: [] }, { width: 1.4, dash: [6, 4] }];
 const NEAR_PX = 9; // a pointer nearer to a branch than to any flight selects the cycle
 const MARK_PX = 4;
+const RING_PX = MARK_PX + 2; // within which a pointer is on an event
 
 /** Labels of events, where they are not their kind. */
 const EVENTS = {
@@ -87,28 +88,34 @@ export function foldsOver(view) {
   const { omega, gamma } = view.grid;
   const fixed = { omega_start: omega[0], omega_stop: omega.at(-1), modes: FOLD_MODES, kinds: "fold", gamma_max: gamma.at(-1) };
   const path = () => `/v1/curves?${query({ xi: view.place.xi, ...fixed, ...contactQuery(view.job.spec.model) })}`;
-  return new CyclesOverlay(view, "Folds", "folds", path, (result) => ({ curves: partsOf(result, "curve"), points: partsOf(result, "event") }));
+  return new CyclesOverlay(view, "Folds", "folds", path, (result) => ({ branches: partsOf(result, "curve").map(foldsOf), events: partsOf(result, "event") }));
 }
 
+const foldsOf = ({ omega, gamma, flight_time: times, violations, ...curve }) => Array.from(omega, (value, i) => ({
+  ...curve, omega: value, gamma: gamma[i], flight_time: times[i], violations: violations[i],
+}));
+
+/** Where cycles are drawn, in px: over Γ, and folds over Ω. */
+const overGamma = ({ x, y }) => ({ gamma, flight_time: time }) => [x.pixel(gamma), y.pixel(time)];
+export const overOmega = ({ x, y }) => ({ omega, gamma }) => [x.pixel(omega), y.pixel(gamma)];
+
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
-export function drawFolds(ctx, box, { curves, points }) {
-  const pixel = (omega, gamma) => [box.x.pixel(omega), box.y.pixel(gamma)];
-  const lines = curves.map(({ omega, gamma, violations }) => curve(Array.from(omega, (value, i) => (violations[i] ? null : [value, gamma[i]])), box));
+export function drawFolds(ctx, box, { branches, events }) {
+  const lines = branches.map((folds) => curve(folds.map(({ omega, gamma, violations }) => (violations ? null : [omega, gamma])), box));
   for (const line of lines) polyline(ctx, box.theme.branch, FOLD_WIDTH, line);
-  drawEvents(ctx, box, points.map((point) => ({ ...point, position: pixel(point.omega, point.gamma) })), lines.flat().filter(Boolean));
+  drawEvents(ctx, box, events, overOmega(box), lines.flat().filter(Boolean));
 }
 
 export const foldLegend = (plate) => [[`fold${plate}`, (ctx, x, y, theme) => legendLine(ctx, theme.branch, FOLD_WIDTH, x, y)]];
 
 /** Draw the cycles that the spring has, and mark their events. */
 export function drawBranches(ctx, box, { branches, events }) {
-  const pixel = ({ gamma, flight_time: time }) => [box.x.pixel(gamma), box.y.pixel(time)];
   for (const { stable, points } of branches.flatMap((branch) => runsOf(branch, events))) {
     const { width, dash } = stable ? STABLE : UNSTABLE;
     polyline(ctx, box.theme.branch, width, curve(points.map(({ gamma, flight_time: time }) => [gamma, time]), box), dash);
   }
   const cycles = branches.flat().filter(({ violations }) => !violations);
-  drawEvents(ctx, box, events.map((event) => ({ ...event, position: pixel(event) })), cycles.map(pixel));
+  drawEvents(ctx, box, events, overGamma(box), cycles.map(overGamma(box)));
 }
 
 /** The parts of a branch on which cycles exist and are all stable, or all unstable; they begin and end at events. */
@@ -130,10 +137,10 @@ function runsOf(branch, events) {
   return runs;
 }
 
-/** Rings at the events, with their names where these cover no other, no ring, and none of the `points`; positions in px. */
-function drawEvents(ctx, box, events, points) {
+/** Rings at the events, with their names where these cover no other, no ring, and none of the `points`, in px. */
+function drawEvents(ctx, box, events, pixel, points) {
   const isInside = ([x, y]) => isInBox(x, y, box);
-  const shown = events.filter(({ violations, position }) => violations === 0 && isInside(position));
+  const shown = events.map((event) => ({ ...event, position: pixel(event) })).filter(({ violations, position }) => violations === 0 && isInside(position));
   const square = (size) => ([x, y]) => ({ left: x - size, right: x + size, top: y - size, bottom: y + size });
   const taken = [...points.filter(isInside).map(square(1)), ...shown.map(({ position }) => square(MARK_PX)(position))];
   for (const { kind, position } of shown) drawEvent(ctx, box, position, eventName(kind), taken);
@@ -155,12 +162,14 @@ function drawEvent(ctx, box, [px, py], text, taken) {
   box.texts.push({ text, x: label.left, y: label.top + 7, italic: true, colour: box.theme.branch });
 }
 
-/** The cycle nearest to a position in axis values, nearer than NEAR_PX; null if there is none. */
-export function nearestCycle({ branches }, box, x, y) {
-  const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
-  const distance = ({ gamma, flight_time: time }) => Math.hypot(box.x.pixel(gamma) - px, box.y.pixel(time) - py);
-  const near = branches.flat().filter(({ violations }) => !violations).map((cycle) => [distance(cycle), cycle]).filter(([length]) => length < NEAR_PX);
-  return near.sort(([a], [b]) => a - b)[0]?.[1] ?? null;
+/** The cycle nearer than NEAR_PX to a position in axis values, null if there is none; first the event marked there, with the cycle next to it as its `start`. */
+export function nearestCycle({ branches, events }, box, x, y, pixelOf = overGamma) {
+  const [pixel, px, py] = [pixelOf(box), box.x.pixel(x), box.y.pixel(y)];
+  const distance = ([left, top]) => Math.hypot(left - px, top - py);
+  const nearest = (items, limit) => items.filter(({ violations }) => !violations).map((item) => [distance(pixel(item)), item])
+    .filter(([length]) => length < limit).sort(([a], [b]) => a - b)[0]?.[1];
+  const event = nearest(events, RING_PX);
+  return event ? { ...event, start: nearest(branches.flat(), Infinity) } : (nearest(branches.flat(), NEAR_PX) ?? null);
 }
 
 /** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first. */
@@ -170,7 +179,12 @@ export function cyclesAt({ branches }, gamma) {
 }
 
 export const drawCycle = (ctx, box, { gamma, flight_time: time }) => circle(ctx, box.theme.cursor, 1.8, box.x.pixel(gamma), box.y.pixel(time), 5.5);
-export const describeCycle = (cycle) => `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`;
+export const describeCycle = (cycle) => (cycle.kind ? describeEvent(cycle) : `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`);
+/** "fold (1, 1) · Γ = 0.7678248 · φ = 4.29437 rad" */
+export const describeEvent = ({ kind, bounces, periods, gamma, flight_time: time }) => `${eventName(kind)} (${bounces}, ${periods}) · Γ = ${number(gamma, 7)} · φ = ${number(time, 6)} rad`;
+
+/** The motion that begins on a cycle, or next to an event. */
+export const startOn = (place, { gamma, periods, flight_time: time, start }) => (start ? startOn(place, start) : { ...place, gamma, direction: startName("cycle", periods, time) });
 
 export const branchLegend = (plate = "") => [["stable", STABLE], ["unstable", UNSTABLE]].map(([name, { width, dash }]) =>
   [name + plate, (ctx, x, y, theme) => legendLine(ctx, theme.branch, width, x, y, dash)]);

@@ -3,11 +3,11 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { fileName } from "../lib/downloads.js";
-import { number } from "../lib/format.js";
-import { axisLabel, clamp, startName, threshold } from "../lib/physics.js";
+import { exact, number } from "../lib/format.js";
+import { axisLabel, clamp, threshold } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { verticalLine } from "../plot/drawing.js";
-import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches } from "./closed-form.js";
+import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches, startOn } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { drawThreshold } from "./diagram.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
@@ -34,13 +34,12 @@ export class Cycles extends PlotView {
 
   read([result]) {
     this.branches = readBranches(result);
-    [this.omega, this.xi, this.maxGamma] = [result.omega.data, result.xi.data, result.attrs.gamma_max];
+    [this.spring, this.maxGamma] = [{ omega: result.omega.data, xi: result.xi.data }, result.attrs.gamma_max];
   }
 
   #events() {
-    const columns = [["event", ({ kind }) => eventName(kind)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
-      ["Γ", ({ gamma }) => number(gamma, 7)], ["φ (rad)", ({ flight_time: time }) => number(time, 6)]];
-    return [columns, (this.branches?.events ?? []).filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
+    if (!this.isLoaded) return [[], []];
+    return [[["event", ({ kind }) => eventName(kind)], ...this.#columns(7, 6)], this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */
@@ -50,10 +49,10 @@ export class Cycles extends PlotView {
   }
 
   content() {
-    const { omega, xi } = this;
+    const { omega, xi } = this.spring;
     return {
       ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
-      title: this.textOf({ omega, xi }),
+      title: this.textOf(this.spring),
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
@@ -72,9 +71,13 @@ export class Cycles extends PlotView {
     return this.branches.branches.flat().filter(({ gamma, flight_time: time, violations }) => !violations && this.isVisible(gamma, time));
   }
 
+  #columns(...digits) {
+    return [["Γ", ({ gamma }, whole) => exact(gamma, whole, digits[0])], ...this.common(this.spring),
+      ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`], ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole, digits[1])]];
+  }
+
   columnsOfTable() {
-    return [["Γ", ({ gamma }) => number(gamma)], ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`],
-      ["φ (rad)", ({ flight_time: time }) => number(time)], ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
+    return [...this.#columns(), ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
   }
 
   /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
@@ -94,10 +97,10 @@ export class Cycles extends PlotView {
   }
 
   describe(cell) {
-    return cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`;
+    return `${cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`} · ${this.textOf(this.spring)}`;
   }
 
-  cellOf({ gamma, periods, flight_time: time }) {
-    return periods ? { ...this.place, gamma, direction: startName("cycle", periods, time) } : null;
+  cellOf(cell) {
+    return cell.periods ? startOn(this.place, cell) : null;
   }
 }

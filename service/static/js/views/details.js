@@ -4,12 +4,12 @@
 import { link } from "../lib/address.js";
 import { partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
 import { announce, h, problemLine, workButton } from "../lib/dom.js";
-import { downloads, wholeSweep } from "../lib/downloads.js";
+import { downloads } from "../lib/downloads.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
 import { axisText, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
-import { sharedPage } from "./measured.js";
+import { wholeStudy } from "./measured.js";
 import { sourceOf } from "./plot-view.js";
 
 export class Details {
@@ -37,7 +37,7 @@ export class Details {
         h("h2", {}, "Results"),
         h("p", {}, "As an xarray dataset, loaded as needed:"),
         h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
-        isSweep(job.spec) && downloads([...wholeSweep(job, [["NetCDF", "nc"], ["Parquet", "parquet"]]), sharedPage(job)]),
+        downloads(wholeStudy(job, [["NetCDF", "nc"], ["Parquet", "parquet"]])),
       ],
     ));
   }

@@ -3,14 +3,14 @@
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { choice, h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, startName, threshold } from "../lib/physics.js";
+import { exact } from "../lib/format.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, digitsTo, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
 import { cellBorders, cellExtent } from "../plot/scale.js";
-import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle } from "./closed-form.js";
+import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle, startOn } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
@@ -62,6 +62,7 @@ export class Diagram extends PlotView {
     return {
       margins: [left, this.plot.element.clientWidth - left - width],
       x: { label: "", low: x.low, high: x.high, log: x.log },
+      title: "λ₁ per plate period",
       y: { label: "λ₁", low: low - margin, high: high + margin },
       layers: [
         (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.left, box.y.pixel(0)], [box.left + box.width, box.y.pixel(0)]]),
@@ -249,14 +250,15 @@ export class Diagram extends PlotView {
   }
 
   columnsOfTable() {
-    const [first] = this.lines;
+    const isOne = (valueOf) => new Set(this.lines.map(valueOf)).size < 2;
+    const { fixed = {}, direction = "rest" } = this.lines[0] ?? {};
     return [
       axisColumn(SYMBOL[this.along], this.grid[this.along], ({ line, cell }) => line.values[cell]),
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
-      ...(first ? this.#fixed(false).map((axis) => axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis])) : []),
-      ...(new Set(this.lines.map(({ direction }) => direction)).size > 1 ? [["ramp", ({ line }) => line.direction]] : []),
+      ...AXES.filter((axis) => axis in fixed).map((axis) => [...axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis]), isOne((line) => line.fixed[axis])]),
+      ...(isOne((line) => line.direction) && direction === "rest" ? [] : [["ramp", ({ line }) => line.direction, isOne((line) => line.direction)]]),
       ...cellColumns(Object.assign({}, ...this.lines), ({ line, cell }) => [line, cell]),
-      ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole)],
+      ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole, line.flight_error?.[cell])],
     ];
   }
 
@@ -271,8 +273,8 @@ export class Diagram extends PlotView {
     return line ? [line.values[cell], flightsIn(line, cell)[0]] : [gamma, time];
   }
 
-  cellOf({ line, cell, gamma, periods, flight_time: time }) {
-    if (!line) return { ...this.place, gamma, direction: startName("cycle", periods, time) };
+  cellOf({ line, cell, ...cycle }) {
+    if (!line) return startOn(this.place, cycle);
     return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
   }
 
@@ -283,7 +285,7 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.periods) return `${describeCycle(cell)} · press to see it move`;
+    if (cell.periods) return `${describeCycle(cell)} · ${this.textOf(this.lines[0].fixed)} · press to see it move`;
     if (!this.isCompared) return super.describe(cell);
     return this.#atCurrent().map((entry) => h("span", { className: "entry" }, swatch(this.#colour(entry.line, theme())), `${super.describe(entry)} `));
   }
@@ -339,6 +341,6 @@ function drawSelected(ctx, box, value, colour) {
 
 /** The distinct flight times of one cell, shortest first. */
 const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
-const flightsText = (times, whole) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => number(time, 4)).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
+const flightsText = (times, whole, bound) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => exact(time, whole, digitsTo(time, bound))).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

@@ -2,9 +2,9 @@
 
 import { requestBlob } from "../lib/api.js";
 import { announce, button, h, problemLine } from "../lib/dom.js";
-import { fileName } from "../lib/downloads.js";
+import { fileName, resultFiles } from "../lib/downloads.js";
 import { count, number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, TWO_PI, initialValue } from "../lib/physics.js";
+import { AXES, SYMBOL, TWO_PI, initialValue, isSweep } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
 
@@ -19,8 +19,10 @@ const kept = new Map();
 /** Those of a shared file, [{name, text, value}, …]. */
 const SHARED_FILES = JSON.parse(document.getElementById("measured")?.textContent ?? "[]");
 
-/** The download of a sweep as a page to share, with what was dropped on its plots. */
-export const sharedPage = (job) => ["a page to share", () => fileName(job, "sweep", "html"), async () => {
+/** Downloads of all that a study stores; of a sweep a page to share too, with what was dropped on its plots. */
+export const wholeStudy = (job, formats, name = isSweep(job.spec) ? "sweep" : job.spec.protocol.kind) =>
+  [...resultFiles(job, () => name, formats, () => `/v1/jobs/${job.id}/export?`), ...(name === "sweep" ? [sharedPage(job)] : [])];
+const sharedPage = (job) => ["a page to share", () => fileName(job, "sweep", "html"), async () => {
   const page = await requestBlob(`/v1/jobs/${job.id}/export?format=html`);
   const files = [...kept].filter(([key]) => key.startsWith(job.id)).map(([, { name, text, value }]) => ({ name, text, value }));
   return files.length ? new Blob([page, `<script type="application/json" id="measured">${JSON.stringify(files).replaceAll("<", "\\u003c")}</script>`]) : page;
@@ -34,7 +36,10 @@ export class MeasuredPoints {
     this.problem = problemLine();
     this.text = h("span", {});
     this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#keep(null), { className: "link" }));
-    this.element = h("div", {}, this.problem.element, this.line);
+    const take = ({ target }) => target.files.length && this.take(target.files[0]);
+    const about = `A CSV file whose columns are some of ${COLUMNS.join(", ")}, dropped on the page or chosen here: `;
+    const choose = h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onchange: take }));
+    this.elements = [this.problem.element, this.line, h("details", { className: "paged" }, h("summary", {}, "Measured points"), choose)];
     const file = SHARED_FILES.find((shared) => shared.value === value);
     if (file && !kept.has(this.key)) this.take({ ...file, text: () => file.text });
   }

@@ -147,7 +147,7 @@ export class Modes extends PlaneView {
     const { hysteresis } = this.cells;
     const other = this.directions.find((direction) => direction !== this.loadedDirection);
     return [
-      ...this.columnsOfPlane(), ...cellColumns(this.cells, (cell) => [this.cells, this.indexOf(cell)]),
+      ...this.columnsOfPlane(), ...(this.loadedDirection === "rest" ? [] : [["ramp", () => this.loadedDirection, true]]), ...cellColumns(this.cells, (cell) => [this.cells, this.indexOf(cell)]),
       ...(hysteresis ? [[`ramped ${other}`, (cell) => ["", "another mode", "other flights"][hysteresis[this.indexOf(cell)]]]] : []),
     ];
   }

@@ -45,7 +45,7 @@ class AttractorView extends PlaneView {
     this.plane = result;
     [this.columns, this.rows, this.xi, this.count] = ["gamma", "omega", "xi", "count"].map((name) => result[name].data);
     this.attractors = partsOf(result, "attractor").map(({ attractor: id, label }) => ({ id, label: inSymbols(label) }));
-    this.cells = cellsOf(result);
+    [this.cells, this.spring] = [cellsOf(result), { omega: this.rows[0], xi: this.xi }];
     this.message = this.count.every((n) => n < 0) ? "Not computed yet" : null;
   }
 
@@ -73,7 +73,7 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => [eventColumns(this.grid.gamma), this.isLoaded ? partsOf(this.plane, "event") : []], () => fileName(this.job, "events", "csv"), true);
+    const events = new PagedTable("Births, ends, changes of mode", () => (this.isLoaded ? [[...eventColumns(this.grid.gamma), ...this.common(this.spring)], partsOf(this.plane, "event")] : [[], []]), () => fileName(this.job, "events", "csv"), true);
     super(root, view, {
       below: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
@@ -89,7 +89,7 @@ export class AttractorDiagram extends AttractorView {
   content() {
     return {
       ...this.scales(this.axisOf("gamma"), FLIGHT_AXIS),
-      title: this.textOf({ omega: this.rows[0], xi: this.xi }),
+      title: this.textOf(this.spring),
       message: this.message,
       layers: [(ctx, box) => this.#drawEvents(ctx, box), (ctx, box) => this.#drawFlights(ctx, box)],
       cursor: (ctx, box) => this.#drawCurrent(ctx, box),
@@ -132,9 +132,10 @@ export class AttractorDiagram extends AttractorView {
       const attractor = this.attractorsOf(cell)[cell.k];
       return attractor ? text(attractor, whole) : otherwise(cell);
     }];
-    const flightsText = ({ times }, whole) => [...new Set(times.map((time) => number(time, 4)))].slice(0, whole ? Infinity : MAX_LISTED).join(" ");
+    const distinct = ({ times }) => [...new Map(times.map((time) => [number(time, 4), time]))];
+    const flightsText = (cell, whole) => distinct(cell).slice(0, whole ? Infinity : MAX_LISTED).map(([text, time]) => (whole ? time : text)).join(" ");
     return [
-      axisColumn("Γ", this.grid.gamma, (cell) => this.columns[cell.column]),
+      axisColumn("Γ", this.grid.gamma, (cell) => this.columns[cell.column]), ...this.common(this.spring),
       column("attractor", ({ id }) => String(id)),
       column("mode", ({ label }) => label, (cell) => (this.count[cell.column] < 0 ? "not computed yet" : "")),
       column("share of drops", ({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell")),

@@ -3,14 +3,14 @@
 import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, button, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
-import { downloads, fileName, resultFiles, wholeSweep } from "../lib/downloads.js";
-import { AXES, SYMBOL, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue, isSweep } from "../lib/physics.js";
+import { downloads, fileName, resultFiles } from "../lib/downloads.js";
+import { AXES, SYMBOL, axisColumn, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
 import { listenToInput, scaled } from "../plot/input.js";
 import { Plot } from "../plot/plot.js";
-import { sharedPage } from "./measured.js";
+import { wholeStudy } from "./measured.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
 const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
@@ -93,6 +93,9 @@ export class PlotView {
   /** "Ω = 0.5,   ξ = 0.26" */
   textOf = (place) => Object.entries(place).map(([axis, value]) => `${SYMBOL[axis]} = ${axisText(value, this.grid[axis])}`).join(",   ");
 
+  /** Columns of what all cells shown have in common, which their title says: for files and readings. */
+  common = (place) => Object.entries(place).map(([axis, value]) => [...axisColumn(SYMBOL[axis], this.grid[axis], () => value), true]);
+
   /** The window zoomed to; null for everything. */
   get window() {
     return windowIn(currentQuery());
@@ -127,7 +130,7 @@ export class PlotView {
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
       this.#downloads(), actions(this.unzoom, this.logButtons, compute), ...shown, this.readout,
-      actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.measured?.element, ...below.map((item) => item.element ?? item), this.table.element,
+      actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.measured?.elements, ...below.map((item) => item.element ?? item), this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
@@ -333,7 +336,7 @@ export class PlotView {
     const files = (source, formats) => resultFiles(source.job, () => this.name, formats, (format) => this.filePath(source, format));
     const ofSources = () => this.sources.flatMap((source) => files(source, [[`CSV of ${source.number}`, "csv"]]));
     if (this.isCompared && this.paths().length > 1) return downloads([png, ...ofSources()]);
-    const whole = isSweep(this.job.spec) && !this.isCompared ? [...wholeSweep(this.job, [["NetCDF", "nc"]]), sharedPage(this.job)] : [];
+    const whole = this.job.id && !this.isCompared ? wholeStudy(this.job, [["NetCDF", "nc"]]) : [];
     return downloads([png, ...files(this.source, FORMATS), ...whole], this.lacking);
   }
 }

@@ -4,7 +4,7 @@ import { link } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
 import { h, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
-import { AXES, SYMBOL, axisText, axisValues, isSweep } from "../lib/physics.js";
+import { AXES, SYMBOL, axisText, axisValues } from "../lib/physics.js";
 
 export const UNFINISHED = new Set(["queued", "running"]);
 /** Whether a job, or the budget that it is a level of, goes on. */
@@ -12,6 +12,7 @@ export const isGoing = ({ state, budget }) => UNFINISHED.has(state) || (budget ?
 export const RESUMABLE = new Set(["failed", "cancelled"]);
 export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
 const MAX_LISTED = 4; // values of an axis
+const PARAMETER = { restitution: "e", penetration: "d", rest_length: "Λ" };
 
 /** A sweep's name, or the beginning of its id. */
 export const titleOf = (job) => (job.name.trim() ? job.name : "") || `Sweep ${job.id.slice(0, 8)}`;
@@ -59,11 +60,18 @@ export function summary({ spec, choice }) {
   if (!spec) return ["specification too long to list"];
   const axes = AXES.filter((axis) => axis in spec)
     .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${rangeText(spec[axis])}`), " · "]);
-  if (!isSweep(spec)) return [...axes, h("span", {}, `study: ${spec.protocol.kind}`)];
-  const kind = choice ? `${spec.model.kind} → ${choice.model}` : spec.model.kind;
-  const refined = spec.refine ? [" · ", h("span", {}, `adaptive, by ${spec.refine.by}`)] : [];
-  const parent = spec.parent ? [" · ", h("a", { href: link(["job", spec.parent, "modes"]) }, "window of another sweep")] : [];
-  return [...axes, h("span", {}, protocolText(spec.protocol)), " · ", h("span", {}, `${kind} contact`), ...refined, ...parent];
+  const texts = [
+    protocolText(spec.protocol), spec.model && contactText(spec.model, choice), spec.exponents > 0 && plural(spec.exponents, "exponent"),
+    spec.refine && `adaptive, by ${spec.refine.by}`,
+  ].filter(Boolean).flatMap((text) => [h("span", {}, text), " · "]).slice(0, -1);
+  return [...axes, ...texts, ...(spec.parent ? [" · ", h("a", { href: link(["job", spec.parent, "modes"]) }, "window of another sweep")] : [])];
+}
+
+/** "soft, e 0.2, d 0.01": a contact with its parameters. */
+function contactText({ kind, adhesive = true, ...parameters }, choice) {
+  const known = Object.entries(parameters).filter(([, value]) => value !== null)
+    .map(([name, value]) => (typeof value === "number" ? `${PARAMETER[name] ?? name.replaceAll("_", " ")}\u00a0${number(value)}` : value));
+  return [choice ? `${kind} → ${choice.model}` : kind, ...known, ...(adhesive ? [] : ["never pulling"])].join(", ");
 }
 
 /** That another kernel version computed a sweep, and a link to the one that replaces it. */
@@ -94,13 +102,12 @@ function rangeText(axis) {
   return `${axisText(values[0], values)} – ${axisText(values.at(-1), values)} (${count(values.length)})`;
 }
 
-function protocolText({ kind, axis, direction, start }) {
+function protocolText({ kind, axis, direction, start, plane, rows, columns }) {
   if (kind === "rest") return "from rest";
+  if (kind !== "ramp") return `study: ${kind}${plane ? `, ${columns} × ${rows} ${plane}s` : ""}`;
   const from = start ? ` from the cycle (1, ${start.periods})` : "";
   return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}${from}`;
 }
-
-const ACTION_TITLES = { cancel: "Cancel", resume: "Resume", delete: "Delete" };
 
 /** Show in `root` the buttons that the job's state allows, keeping the keyboard focus among them. */
 function showActions(root, job, on) {
@@ -109,9 +116,8 @@ function showActions(root, job, on) {
   if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);
   root.dataset.actions = shown;
-  root.replaceChildren(...actions.map((action) => workButton(ACTION_TITLES[action], () => run(action, job, on), on.error, {
-    className: "quiet", "aria-label": `${ACTION_TITLES[action]} ${titleOf(job)}`,
-  })));
+  const title = (action) => action[0].toUpperCase() + action.slice(1);
+  root.replaceChildren(...actions.map((action) => workButton(title(action), () => run(action, job, on), on.error, { className: "quiet", "aria-label": `${title(action)} ${titleOf(job)}` })));
   if (hadFocus) root.querySelector("button")?.focus();
 }
 

@@ -6,7 +6,7 @@ import { number } from "../lib/format.js";
 import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
-import { drawFolds, foldLegend, foldsOver } from "./closed-form.js";
+import { describeEvent, drawFolds, foldLegend, foldsOver, nearestCycle, overOmega } from "./closed-form.js";
 import { sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { PlotView } from "./plot-view.js";
@@ -17,7 +17,7 @@ const BESIDE = 4; // px from the frequency, of two directions: both may lie beyo
 const BEYOND = { "below the grid": 1, "above the grid": -1 }; // where a triangle points: 1 down
 const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell that decides
 
-/** Cells are {row, y}: what the service found at an Ω and, from the pointer, a Γ. Numbers that are not there are NaN. */
+/** Cells are {row, y, fold}: what the service found at an Ω and, from the pointer, a Γ and the fold there. Numbers that are not there are NaN. */
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
@@ -117,7 +117,8 @@ export class Thresholds extends PlotView {
   computed = () => (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
 
   nearest(x, y) {
-    return { row: this.rows[nearestIndex(this.omega, x)], y };
+    const fold = this.overlay?.data && this.plot.box && nearestCycle(this.overlay.data, this.plot.box, x, y, overOmega);
+    return { row: this.rows[nearestIndex(this.omega, x)], y, fold };
   }
 
   step(current, right) {
@@ -129,15 +130,19 @@ export class Thresholds extends PlotView {
     return [row.omega, y];
   }
 
+  describe(cell) {
+    return `${cell.fold ? `${describeEvent(cell.fold)} · Ω = ${number(cell.fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
+  }
+
   cellsShown() {
     return this.rows.filter(({ omega }) => this.isVisible(omega)).map((row) => ({ row }));
   }
 
   columnsOfTable() {
     const gammaText = (gamma) => axisText(gamma, this.grid.gamma);
-    const value = (title, name, text, otherwise = () => "") => [title, ({ row }) => (Number.isFinite(row[name]) ? text(row[name]) : otherwise(row))];
+    const value = (title, name, text, otherwise = () => "") => [title, ({ row }, whole) => (Number.isFinite(row[name]) ? (whole ? String : text)(row[name]) : otherwise(row))];
     const text = (name) => [name, ({ row }) => inSymbols(row[name] ?? "")];
-    return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), value("Eq. 25", "analytic", gammaText),
+    return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), ...this.common({ xi: this.xi }), value("Eq. 25", "analytic", gammaText),
       ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
       ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("difference")] : [])];

@@ -136,6 +136,19 @@ def test_the_answer_says_why_a_threshold_is_not_the_predicted_one(
     assert found["difference"]["data"][0][: len(why) or None] == why
 
 
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        ({"kind": "rigid", "restitution": 0.1}, "rigid, restitution 0.1"),
+        ({"kind": "soft", "rest_length": 9.0}, "soft, restitution 0.01, rest length 9, adhesive"),
+    ],
+)
+def test_a_prediction_for_another_contact_names_both(model: dict[str, Any], text: str, client: TestClient):
+    here = finished(client, spec_of(CASES[0]).as_submitted() | {"model": model})
+    said = get(client, f"{here}/threshold")["attrs"]["prediction"]
+    assert said == f"rigid, restitution 0: not the contact of the sweep, which is {text}"
+
+
 def test_refining_more_than_one_answer_may_is_refused(client: TestClient, monkeypatch: pytest.MonkeyPatch):
     here = submitted(client, CASES[0])
     monkeypatch.setattr("service.views.threshold.MAX_SECONDS", 0.0)
