@@ -148,7 +148,8 @@ def _contact(s: SoftSpring, phi: PlatePhase, state: State, horizon: float, budge
         slow = quiet_time(p.slow_osc, p.slow_a, p.slow_b, 0.5 * s.margin)
         end = min(horizon, max(slow, quiet_time(p.fast_osc, p.fast_a, p.fast_b, 0.5 * s.margin)))
     tau, ending, used = first_root(p, start, end, budget)
-    if tau == 0.0 and ending == ROOT:
+    touches = s.adhesive and state.gap == 0.0 and state.gap1 == 0.0  # F = F' = 0: rounding tells nothing
+    if ending == ROOT and (tau == 0.0 or touches):
         if _lifts(s, begin_flight(s.flight, s.gravity, phi, state)):
             return Phase(0.0, ROOT, True, _taking_off(s, state), used)
         tau, ending, more = first_root(p, 1.0 / s.gap_mode.rate, end, budget - used)

@@ -137,7 +137,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
     preparer = JobPreparer(settings)
     with ExitStack() as stack:
         ledger, hindrance = None, "a service uses the folder; verify again without it"
-        if not backup.is_current(settings.ledger_path):
+        if backup.is_earlier(settings.ledger_path):
             hindrance = "the ledger is an earlier release's; verify again once a service of this one has run"
         else:
             with suppress(DataFolderBusy, OSError):  # the last on a read-only disk

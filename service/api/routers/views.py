@@ -198,7 +198,7 @@ def _endpoint(view: View, job_type: Any) -> Callable[..., Any]:
         if not hasattr(query, "other"):
             return study
         other = dependencies.stored(service, dependencies.find_job(query.other, service))
-        if type(other.spec) is not view.study:
+        if view.study is not None and not isinstance(other.spec, view.study):
             rule = f"must be a sweep; the protocol of this job is {other.spec.protocol.kind}"
             raise InvalidRequest.of("other", rule)
         return replace(study, other=other)

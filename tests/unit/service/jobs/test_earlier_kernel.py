@@ -99,6 +99,7 @@ def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
             new["spec"][name] == old["spec"][name] for name in new["spec"] if name not in ("settle", "until")
         )
         assert read(client, f"{here}/diagram", omega=0.6, xi=0.1, direction="down").attrs["complete"]
+        assert read(client, f"{here}/difference", other=old["id"], xi=0.05, direction="up").attrs
         assert not read(client, f"{INTERRUPTED}/diagram", omega=0.6, xi=0.1, direction="down").attrs[
             "complete"
         ]
