@@ -138,7 +138,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
     with ExitStack() as stack:
         ledger, hindrance = None, "a service uses the folder; verify again without it"
         if backup.is_earlier(settings.ledger_path):
-            hindrance = "the ledger is an earlier release's; verify again once a service of this one has run"
+            hindrance = "an earlier release's ledger; verify again once this one's service has run"
         else:
             with suppress(DataFolderBusy, OSError):  # the last on a read-only disk
                 ledger = stack.enter_context(open_ledger(settings))

@@ -29,10 +29,10 @@ def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacem
         screenshot(page, "other-kernel")
         page.goto(f"{address}/#/")
         rows = page.locator(".jobs li")
-        rows.nth(2).wait_for()
+        rows.nth(3).wait_for()
         notices = [row.locator(".notice").inner_text() for row in rows.all()]
         replaced = f"{NOTICE}, as job {new}. Show the sweep that replaces it"
-        assert notices == ["", replaced, f"{NOTICE}."]
+        assert notices == ["", f"{NOTICE}.", replaced, f"{NOTICE}."]
         page.get_by_role("link", name="Show the sweep that replaces it").click()
         page.wait_for_url(f"**/#/job/{new}**")
         reopen(page, f"{address}/#/job/{interrupted}")
