@@ -589,6 +589,15 @@ def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, ad
         page.wait_for_url(re.compile("log=none"))
 
 
+def test_a_window_of_a_ramp_keeps_the_ends_where_it_begins(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05, x0=0.5, x1=0.6, y0=0, y1=6)) as page:
+        wait_shown(page, omega=0.6)
+        page.get_by_role("button", name="Compute this window").click()
+        page.locator(".cost", has_text="cells in").wait_for()
+        fields = [page.locator(f"[data-field='gamma.{name}']") for name in ("start", "stop", "num")]
+        assert [field.input_value() for field in fields] == ["0.3", "1.4", "1211"]
+
+
 def _width(page: Any) -> float:
     low, high = (float(re.search(f"{name}=([^&]+)", page.url)[1]) for name in ("x0", "x1"))  # type: ignore[index]
     return high - low
