@@ -524,7 +524,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.wait_for_url(f"**/job/{loop}**")
 
 
-def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):
+def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(browser: Any, address: str, loop: str):
     with opened(
         browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}
     ) as page:
@@ -535,9 +535,13 @@ def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: 
         assert box["width"] > 900
         assert box["height"] > 600
         assert box["y"] + box["height"] < 800  # all of it is seen
-        plot.click(position={"x": box["width"] / 2, "y": 100})
+        plot.click(position={"x": box["width"] / 2, "y": 0.75 * box["height"]})
         page.locator(".trajectory .readout", has_text="plate periods").wait_for()
-        assert plot.bounding_box() == box
+        drawer = page.locator(".trajectory").bounding_box()
+        for seen in (plot, page.locator(".panel .readout")):  # nothing of them is covered
+            assert seen.bounding_box()["y"] + seen.bounding_box()["height"] < drawer["y"]
+        side = ("x", "y", "width")
+        assert [plot.bounding_box()[name] for name in side] == [box[name] for name in side]
         for figure in page.locator(".trajectory .plot").all():
             drawn = figure.bounding_box()
             assert drawn["y"] + drawn["height"] < 800

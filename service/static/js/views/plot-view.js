@@ -111,7 +111,7 @@ export class PlotView {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view and start loading; the column beside the plot begins with `shown`: legend, options, notes, and ends with `below`. */
+  /** Build the view and start loading; the column beside the plot has `shown`: legend, options, notes, and ends with `below`. */
   build(root, { controls, label, hint, shown = [], below = [] }) {
     this.tables = below.filter((table) => table instanceof PagedTable);
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
@@ -126,8 +126,8 @@ export class PlotView {
     const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
-      this.#downloads(), actions(this.unzoom, this.logButtons, compute), ...shown, this.readout,
-      actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.measured?.element, ...below.map((item) => item.element ?? item), this.table.element,
+      this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.#downloads(), actions(this.unzoom, this.logButtons, compute),
+      ...shown, this.measured?.element, ...below.map((item) => item.element ?? item), this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
