@@ -891,6 +891,14 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
+def test_shares_of_a_zoomed_map_are_of_the_cells_shown(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
+        page.get_by_text("Hysteresis: going up").wait_for()
+        page.evaluate("location.hash += '&x0=0.3&x1=0.4&y0=0.5&y1=0.7'")
+        page.get_by_text("Up and down agree in every cell shown").wait_for()
+        assert page.locator(".panel .legend li").all_inner_texts() == ["at rest 100 %"]
+
+
 def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
     browser: Any, address: str, loop: str
 ):

@@ -97,11 +97,12 @@ export class Modes extends PlaneView {
   #hysteresisText() {
     const { hysteresis } = this.cells;
     if (!hysteresis) return "";
-    const differ = (kind) => hysteresis.reduce((sum, value) => sum + (value === kind), 0);
+    const kindsOf = this.cellsInWindow().map((cell) => hysteresis[this.indexOf(cell)]);
+    const differ = (kind) => kindsOf.filter((value) => value === kind).length;
     const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
     const kinds = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
-    const shares = kinds.map(([cells, text]) => `${text} in ${share(cells / hysteresis.length, 2)}`).join(", ");
+    const shares = kinds.map(([cells, text]) => `${text} in ${share(cells / kindsOf.length, 2)}`).join(", ");
     return `Hysteresis: going up and down lead ${shares} of the cells shown.`;
   }
 

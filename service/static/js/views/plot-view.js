@@ -51,7 +51,8 @@ async function requestFitting(path, options) {
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   cellsShown(), columnsOfTable()   the cells of the table of what is shown, and its columns (see PagedTable)
+ *   cellsShown(), or cellsInWindow(), isHidden(cell); columnsOfTable()   the cells of the table of what is shown, and
+ *                    its columns (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
  *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
@@ -160,6 +161,11 @@ export class PlotView {
 
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
   #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
+  #updateLegend = debounced(ANNOUNCED_MS, () => this.signal.aborted || !this.isLoaded || this.showLegend());
+
+  cellsShown() {
+    return this.cellsInWindow().filter((cell) => !this.isHidden?.(cell));
+  }
 
   isVisible(x, y = null) {
     const { x0, x1, y0, y1 } = this.visible();
@@ -218,6 +224,7 @@ export class PlotView {
     if (this.paths().join() !== this.requested) return this.load();
     this.plot.redraw();
     this.#updateTable();
+    this.#updateLegend();
   }
 
   async #load(signal) {
