@@ -355,6 +355,26 @@ def test_the_page_of_a_sweep_shows_what_is_done_to_it_elsewhere(browser: Any, ad
         page.get_by_role("heading", name="No such sweep").wait_for()
 
 
+#: The colours across the middle of a plot, without its margins.
+_ACROSS = """canvas => {
+    const { data, width, height } = pixels(canvas);
+    const row = new Uint32Array(data.buffer).subarray((height >> 1) * width, ((height >> 1) + 1) * width);
+    return [...new Set(row.slice(0.1 * width, 0.9 * width))];
+}"""
+
+
+def test_a_running_map_has_everywhere_the_colour_of_a_computed_cell(browser: Any, tmp_path: Path):
+    held = Held()
+    with service_at(tmp_path, held) as address:
+        job = submitted(address, spec_of((2.0, 6.0, 60), (0.5, 0.9, 4), 0.1, window=(3000, 64, 8)))
+        with opened(browser, view(address, job, "modes")) as page:
+            page.get_by_text("No cell is computed yet").wait_for()
+            [missing] = page.eval_on_selector(".panel .plot canvas", _ACROSS)
+            held.let_go()
+            page.get_by_text("No cell is computed yet").wait_for(state="hidden")
+            assert missing not in page.eval_on_selector(".panel .plot canvas", _ACROSS)
+
+
 def test_a_comparison_follows_what_is_computed(browser: Any, tmp_path: Path):
     held = Held()
     with service_at(tmp_path, held) as address:

@@ -116,7 +116,7 @@ export class Modes extends PlaneView {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
-        ...(this.isPreview ? [["not computed yet: the colour of the nearest cell at its Γ"]] : []),
+        ...(this.isPreview ? [["not computed yet: the colour of the nearest cell"]] : []),
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
         ...(hasSpring(this.job) ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],
@@ -154,7 +154,7 @@ export class Modes extends PlaneView {
   }
 }
 
-/** For each cell of a running sweep itself, or while it is not computed the nearest one at its Γ that is. */
+/** For each cell of a running sweep itself, or while it is not computed the nearest one that is: at its Γ, else at the nearest Γ with one. */
 function nearestComputed(outcome, columns) {
   const nearest = Int32Array.from(outcome, (value, cell) => (value === OUTCOME.missing ? -1 : cell));
   const spread = (cell, from) => {
@@ -163,7 +163,10 @@ function nearestComputed(outcome, columns) {
   };
   for (let cell = columns; cell < nearest.length; cell++) spread(cell, cell - columns);
   for (let cell = nearest.length - columns - 1; cell >= 0; cell--) spread(cell, cell + columns);
-  return nearest.map((from, cell) => (from < 0 ? cell : from));
+  const begun = Array.from({ length: columns }, (_, column) => column).filter((column) => nearest[column] >= 0);
+  if (!begun.length) return nearest.map((_, cell) => cell);
+  const source = Array.from({ length: columns }, (_, column) => begun[nearestIndex(begun, column)] - column);
+  return nearest.map((_, cell) => nearest[cell + source[cell % columns]]);
 }
 
 function drawThresholdCurve(ctx, box, xi) {
