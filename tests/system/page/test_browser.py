@@ -1,6 +1,7 @@
 """The page in a real Chromium, served by a real service."""
 
 import csv
+import itertools
 import json
 import math
 import os
@@ -544,7 +545,9 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.wait_for_url(f"**/job/{loop}**")
 
 
-def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(browser: Any, address: str, loop: str):
+def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(
+    browser: Any, address: str, loop: str
+):
     with opened(
         browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}
     ) as page:
@@ -786,6 +789,33 @@ _HEAR = """() => {
     window.heard = [];
     new MutationObserver(() => heard.push(status.textContent)).observe(status, { childList: true });
 }"""
+
+
+#: The ends, px, of the numbers along x of a plot of 261 px from -0.91 to 0.28, as a phase portrait has.
+_NUMBERS_ALONG_X = """async () => {
+    const { boxOf, drawFrame } = await import(new URL("static/js/plot/frame.js", location).href);
+    const ctx = new OffscreenCanvas(261, 184).getContext("2d");
+    const content = { x: { label: "", low: -0.91, high: 0.28 }, y: { label: "", low: -2, high: 1 } };
+    const box = boxOf(ctx, content, 261, 184, { serif: "serif" }, 1);
+    drawFrame(ctx, box, content);
+    ctx.font = "13px serif";
+    return box.texts.filter(({ align }) => align === "center")
+        .map(({ text, x }) => [x - ctx.measureText(text).width / 2, x + ctx.measureText(text).width / 2]);
+}"""
+
+
+def test_numbers_along_a_narrow_plot_lie_apart(browser: Any, address: str):
+    with opened(browser, address) as page:
+        numbers = page.evaluate(_NUMBERS_ALONG_X)
+    assert len(numbers) > 1
+    assert all(start - end > 8 for (_, end), (start, _) in itertools.pairwise(numbers))
+
+
+def test_a_ramp_along_the_frequency_opens_on_its_diagram(browser: Any, address: str):
+    ramp = {"protocol": {"kind": "ramp", "axis": "omega", "direction": "up"}}
+    job = done(address, spec_of([1.2, 2.0], (0.4, 0.9, 12), 0.1, window=(40, 12, 8)) | ramp)
+    with opened(browser, view(address, job, "")) as page:
+        wait_shown(page, along="omega")
 
 
 #: Numbers as a table's CSV has them.
