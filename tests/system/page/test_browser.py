@@ -29,7 +29,7 @@ from browser import (
 from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 from served import computing_at, done, service_at
-from studies import spec_of
+from studies import ADAPTIVE, spec_of
 from toy_view import add_stored_variable
 
 from service.background import InThisProcess
@@ -374,6 +374,16 @@ def test_a_running_map_has_everywhere_the_colour_of_a_computed_cell(browser: Any
             held.let_go()
             page.get_by_text("No cell is computed yet").wait_for(state="hidden")
             assert missing not in page.eval_on_selector(".panel .plot canvas", _ACROSS)
+
+
+def test_a_sweep_keeps_its_name_while_it_runs(browser: Any, tmp_path: Path):
+    size: Any = {"width": 1280, "height": 800}
+    with service_at(tmp_path, Held()) as address:
+        job = submitted(address, {**ADAPTIVE, "name": "Damping study of Tuesday"})
+        with opened(browser, view(address, job), viewport=size) as page:
+            page.locator("#bar [data-state=running]", has_text="0 % of 67,600 cells").wait_for()
+            assert page.locator("#bar h1").evaluate("name => name.scrollWidth <= name.clientWidth")
+            assert page.locator("body > header").bounding_box()["height"] < 50
 
 
 def test_a_comparison_follows_what_is_computed(browser: Any, tmp_path: Path):

@@ -182,10 +182,7 @@ export class PlotView {
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
-  axisOf = (axis) => ({
-    label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log"),
-    single: this.grid[axis].length === 1 ? this.grid[axis][0] : undefined, // the width of its cells says nothing
-  });
+  axisOf = (axis) => ({ label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log"), single: this.grid[axis].length > 1 ? undefined : this.grid[axis][0] });
 
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
