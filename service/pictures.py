@@ -450,7 +450,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
             _make_logarithmic(ax, name)
     handles = _entries(cells, classes)
     if _has_spring(modes):
-        handles += _draw_threshold_curve(ax, float(modes.xi))
+        handles += _draw_threshold_curve(ax, modes)
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
             *corners, np.ma.masked_where(~differ, differ),
@@ -465,12 +465,17 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
 
 
-def _draw_threshold_curve(ax: "Axes", xi: float) -> "list[Artist]":
-    """Γ_th of Eq. 25 over Ω, for a legend."""
+def _draw_threshold_curve(ax: "Axes", modes: xarray.Dataset) -> "list[Artist]":
+    """Γ_th of Eq. 25 over Ω, for a legend; across cells of one Ω or Γ what it is there."""
     ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # those of the cells
     low, high = ax.get_ylim()
     omega = np.geomspace(low if low > 0.0 else high / LOG_RANGE, high, 2000)
-    onsets = threshold(omega, xi)
+    onsets = threshold(omega, modes.xi.item())
+    if len(modes.omega) == 1:
+        onsets, omega = threshold(modes.omega.values, modes.xi.item()).repeat(2), np.array([low, high])
+    elif len(modes.gamma) == 1:
+        crossed = omega[1:][np.diff(onsets > modes.gamma.values)]
+        onsets, omega = np.tile([*ax.get_xlim(), np.nan], len(crossed)), crossed.repeat(3)
     ax.plot(onsets, omega, color="white", linewidth=2.4)
     return ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")  # type: ignore[return-value]
 

@@ -1,6 +1,7 @@
 """The page in a real Chromium, served by a real service."""
 
 import csv
+import itertools
 import json
 import math
 import os
@@ -29,7 +30,7 @@ from browser import (
 from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 from served import computing_at, done, service_at
-from studies import spec_of
+from studies import ADAPTIVE, spec_of
 from toy_view import add_stored_variable
 
 from service.background import InThisProcess
@@ -347,6 +348,36 @@ def test_the_page_of_a_sweep_shows_what_is_done_to_it_elsewhere(browser: Any, ad
         page.get_by_role("heading", name="No such sweep").wait_for()
 
 
+#: The colours across the middle of a plot, without its margins.
+_ACROSS = """canvas => {
+    const { data, width, height } = pixels(canvas);
+    const row = new Uint32Array(data.buffer).subarray((height >> 1) * width, ((height >> 1) + 1) * width);
+    return [...new Set(row.slice(0.1 * width, 0.9 * width))];
+}"""
+
+
+def test_a_running_map_has_everywhere_the_colour_of_a_computed_cell(browser: Any, tmp_path: Path):
+    held = Held()
+    with service_at(tmp_path, held) as address:
+        job = submitted(address, spec_of((2.0, 6.0, 60), (0.5, 0.9, 4), 0.1, window=(3000, 64, 8)))
+        with opened(browser, view(address, job, "modes")) as page:
+            page.get_by_text("No cell is computed yet").wait_for()
+            [missing] = page.eval_on_selector(".panel .plot canvas", _ACROSS)
+            held.let_go()
+            page.get_by_text("No cell is computed yet").wait_for(state="hidden")
+            assert missing not in page.eval_on_selector(".panel .plot canvas", _ACROSS)
+
+
+def test_a_sweep_keeps_its_name_while_it_runs(browser: Any, tmp_path: Path):
+    size: Any = {"width": 1280, "height": 800}
+    with service_at(tmp_path, Held()) as address:
+        job = submitted(address, {**ADAPTIVE, "name": "Damping study of Tuesday"})
+        with opened(browser, view(address, job), viewport=size) as page:
+            page.locator("#bar [data-state=running]", has_text="0 % of 67,600 cells").wait_for()
+            assert page.locator("#bar h1").evaluate("name => name.scrollWidth <= name.clientWidth")
+            assert page.locator("body > header").bounding_box()["height"] < 50
+
+
 def test_a_comparison_follows_what_is_computed(browser: Any, tmp_path: Path):
     held = Held()
     with service_at(tmp_path, held) as address:
@@ -516,7 +547,9 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.wait_for_url(f"**/job/{loop}**")
 
 
-def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: str, loop: str):
+def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(
+    browser: Any, address: str, loop: str
+):
     with opened(
         browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}
     ) as page:
@@ -527,9 +560,13 @@ def test_the_plot_stays_where_it_is_when_a_cell_is_shown(browser: Any, address: 
         assert box["width"] > 900
         assert box["height"] > 600
         assert box["y"] + box["height"] < 800  # all of it is seen
-        plot.click(position={"x": box["width"] / 2, "y": 100})
+        plot.click(position={"x": box["width"] / 2, "y": 0.75 * box["height"]})
         page.locator(".trajectory .readout", has_text="plate periods").wait_for()
-        assert plot.bounding_box() == box
+        drawer = page.locator(".trajectory").bounding_box()
+        for seen in (plot, page.locator(".panel .readout")):  # nothing of them is covered
+            assert seen.bounding_box()["y"] + seen.bounding_box()["height"] < drawer["y"]
+        side = ("x", "y", "width")
+        assert [plot.bounding_box()[name] for name in side] == [box[name] for name in side]
         for figure in page.locator(".trajectory .plot").all():
             drawn = figure.bounding_box()
             assert drawn["y"] + drawn["height"] < 800
@@ -579,6 +616,15 @@ def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, ad
         assert "log=y" in request.value.url
         page.get_by_role("button", name="log y", pressed=True).click()
         page.wait_for_url(re.compile("log=none"))
+
+
+def test_a_window_of_a_ramp_keeps_the_ends_where_it_begins(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, omega=0.6, xi=0.05, x0=0.5, x1=0.6, y0=0, y1=6)) as page:
+        wait_shown(page, omega=0.6)
+        page.get_by_role("button", name="Compute this window").click()
+        page.locator(".cost", has_text="cells in").wait_for()
+        fields = [page.locator(f"[data-field='gamma.{name}']") for name in ("start", "stop", "num")]
+        assert [field.input_value() for field in fields] == ["0.3", "1.4", "1211"]
 
 
 def _width(page: Any) -> float:
@@ -746,6 +792,33 @@ _HEAR = """() => {
 }"""
 
 
+#: The ends, px, of the numbers along x of a plot of 261 px from -0.91 to 0.28, as a phase portrait has.
+_NUMBERS_ALONG_X = """async () => {
+    const { boxOf, drawFrame } = await import(new URL("static/js/plot/frame.js", location).href);
+    const ctx = new OffscreenCanvas(261, 184).getContext("2d");
+    const content = { x: { label: "", low: -0.91, high: 0.28 }, y: { label: "", low: -2, high: 1 } };
+    const box = boxOf(ctx, content, 261, 184, { serif: "serif" }, 1);
+    drawFrame(ctx, box, content);
+    ctx.font = "13px serif";
+    return box.texts.filter(({ align }) => align === "center")
+        .map(({ text, x }) => [x - ctx.measureText(text).width / 2, x + ctx.measureText(text).width / 2]);
+}"""
+
+
+def test_numbers_along_a_narrow_plot_lie_apart(browser: Any, address: str):
+    with opened(browser, address) as page:
+        numbers = page.evaluate(_NUMBERS_ALONG_X)
+    assert len(numbers) > 1
+    assert all(start - end > 8 for (_, end), (start, _) in itertools.pairwise(numbers))
+
+
+def test_a_ramp_along_the_frequency_opens_on_its_diagram(browser: Any, address: str):
+    ramp = {"protocol": {"kind": "ramp", "axis": "omega", "direction": "up"}}
+    job = done(address, spec_of([1.2, 2.0], (0.4, 0.9, 12), 0.1, window=(40, 12, 8)) | ramp)
+    with opened(browser, view(address, job, "")) as page:
+        wait_shown(page, along="omega")
+
+
 #: Numbers as a table's CSV has them.
 _PLAIN = """async (numbers) => {
     const { number, plain } = await import(new URL("static/js/lib/format.js", location).href);
@@ -867,6 +940,14 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         wait_shown(page, xi=0.05)
         assert not page.get_by_label("Hatch where up and down differ").is_checked()
         assert page.get_by_text("Hysteresis: going up").count() == 0
+
+
+def test_shares_of_a_zoomed_map_are_of_the_cells_shown(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
+        page.get_by_text("Hysteresis: going up").wait_for()
+        page.evaluate("location.hash += '&x0=0.3&x1=0.4&y0=0.5&y1=0.7'")
+        page.get_by_text("Up and down agree in every cell shown").wait_for()
+        assert page.locator(".panel .legend li").all_inner_texts() == ["at rest 100 %"]
 
 
 def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(

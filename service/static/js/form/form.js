@@ -4,7 +4,7 @@ import { addressValue, currentQuery, link, navigate, replace, setQuery } from ".
 import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
-import { AXES, axisValues } from "../lib/physics.js";
+import { AXES, axisValues, directionsOf } from "../lib/physics.js";
 import { Snippets } from "../lib/snippets.js";
 import { OF_REST, kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
@@ -217,14 +217,19 @@ export class SweepForm {
 function axesOf(query, spec) {
   const limits = AXES.map((axis) => [axis, (query[axis] ?? "").split(",").map((text) => Number(text || NaN))]);
   return Object.fromEntries(limits.filter(([, values]) => values.every(Number.isFinite))
-    .map(([axis, [low, high]]) => [axis, spec && high > low ? windowOn(spec[axis], low, high) : low]));
+    .map(([axis, [low, high]]) => [axis, spec && high > low ? windowOn(spec, axis, low, high) : low]));
 }
 
-/** A window on an axis of a specification: of as many values, with rounded limits. */
-function windowOn(axis, low, high) {
-  const values = axisValues(axis);
+/** A window on an axis of a specification: of as many values, with rounded limits. As a ramp follows a branch from where
+ * it begins, it keeps that end, with the steps of the window. */
+function windowOn({ protocol, ...axes }, name, low, high) {
+  const { spacing = "linear" } = axes[name];
+  const values = axisValues(axes[name]);
   const step = 10 ** Math.floor(Math.log10(high - low) - 2);
-  const start = Math.max(values[0], Math.floor(low / step) * step);
-  const stop = Math.min(values.at(-1), Math.ceil(high / step) * step);
-  return { start: addressValue(start), stop: addressValue(stop), num: values.length, spacing: axis.spacing ?? "linear" };
+  const window = [Math.max(values[0], Math.floor(low / step) * step), Math.min(values.at(-1), Math.ceil(high / step) * step)];
+  const begins = protocol.axis === name ? directionsOf({ protocol }) : [];
+  const ends = [begins.includes("up") ? values[0] : window[0], begins.includes("down") ? values.at(-1) : window[1]];
+  const length = ([start, stop]) => (spacing === "log" ? Math.log(stop / start) : stop - start);
+  const num = 1 + Math.round(((values.length - 1) * length(ends)) / length(window));
+  return { start: addressValue(ends[0]), stop: addressValue(ends[1]), num, spacing };
 }

@@ -57,17 +57,11 @@ function classOf(label, bounces, periods, multiplier) {
   return periods > HUES.length ? MARGIN - 1 : FIRST + SHADES.length * (periods - 1) + 1 + Math.sign(bounces - periods);
 }
 
-/** Classes of cells by colour, by their multipliers if those are given: {ofCell: Uint8Array, present: [{id, name, cells}, …]}, `present` in legend order. */
+/** Classes of cells by colour, by their multipliers if those are given: {ofCell: Uint8Array, present: [{id, name}, …]}, `present` in legend order. */
 export function modeClasses({ outcome, label: labels = outcome, bounces, periods, multiplier }) {
-  const ofCell = new Uint8Array(labels.length);
-  const cells = new Uint32Array(CLASSES.length);
-  for (let i = 0; i < ofCell.length; i++) {
-    const id = classOf(labels[i], bounces[i], periods[i], multiplier?.[i]);
-    ofCell[i] = id;
-    cells[id]++;
-  }
-  const present = ORDER.filter((id) => cells[id]);
-  return { ofCell, present: present.map((id) => ({ id, name: CLASSES[id].name, cells: cells[id] })) };
+  const ofCell = Uint8Array.from(labels, (label, i) => classOf(label, bounces[i], periods[i], multiplier?.[i]));
+  const found = new Set(ofCell);
+  return { ofCell, present: ORDER.filter((id) => found.has(id)).map((id) => ({ id, name: CLASSES[id].name })) };
 }
 
 /** How queries of the service name a class; null where they have no name for it. */

@@ -1,5 +1,6 @@
 // What surrounds a plot's data: frame, ticks, labels, title and legend.
 
+import { number } from "../lib/format.js";
 import { TWO_PI, clamp } from "../lib/physics.js";
 import { polyline } from "./drawing.js";
 import { scale, ticks } from "./scale.js";
@@ -19,8 +20,8 @@ export function boxOf(ctx, content, width, height, theme, ratio) {
   const [left, right] = content.margins ?? [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio, texts: [],
-    x: scale(content.x.low, content.x.high, left, width - right, content.x.log),
-    y: scale(content.y.low, content.y.high, height - bottom, top, content.y.log),
+    x: { ...scale(content.x.low, content.x.high, left, width - right, content.x.log), single: content.x.single },
+    y: { ...scale(content.y.low, content.y.high, height - bottom, top, content.y.log), single: content.y.single },
   };
 }
 
@@ -37,20 +38,23 @@ function headingsOf(ctx, { title, legend = [] }, width, theme) {
 }
 
 /** The left margin fits the label and the widest tick. */
-function leftMargin(ctx, { low, high, log }, height, theme, narrow) {
+function leftMargin(ctx, y, height, theme, narrow) {
   ctx.font = `${FONT_SIZE}px ${theme.serif}`;
-  const widest = Math.max(0, ...yTicks(low, high, height, log).map(({ text }) => ctx.measureText(text).width));
+  const widest = Math.max(0, ...yTicks(y, height).map(({ text }) => ctx.measureText(text).width));
   return Math.max(narrow ? 46 : 58, Math.ceil(widest) + (narrow ? 26 : 31));
 }
 
-const yTicks = (low, high, height, log) => ticks(low, high, height / 44, log);
+/** About `n` ticks of an axis; of one with a single value, that. */
+const ticksOf = ({ low, high, log, single }, n) => (single === undefined ? ticks(low, high, n, log) : [{ value: single, text: number(single) }]);
+const yTicks = (y, height) => ticksOf(y, height / 44);
 
-/** Ticks at least `distance` px and the widest text apart. */
-function xTicks(ctx, { low, high, log }, width, theme, distance) {
-  const marks = ticks(low, high, width / distance, log);
+/** Ticks about `distance` px apart, or further where their texts are wider. */
+function xTicks(ctx, x, width, theme, distance) {
   ctx.font = `${FONT_SIZE}px ${theme.serif}`;
+  const marks = ticksOf(x, width / distance);
   const widest = Math.max(0, ...marks.map(({ text }) => ctx.measureText(text).width)) + LABEL_SPACE;
-  return widest > distance ? ticks(low, high, width / widest, log) : marks;
+  const isTight = marks.some(({ value }, i) => i && x.pixel(value) - x.pixel(marks[i - 1].value) < widest);
+  return isTight && distance < width ? xTicks(ctx, x, width, theme, 1.5 * distance) : marks;
 }
 
 /** Faint lines at whole plate periods (multiples of 2π), labelled on the right. */
@@ -87,7 +91,7 @@ function drawTicks(ctx, { x, y, left, top, width, height, narrow, theme, texts }
     polyline(ctx, theme.text, 1, [[px, bottom - 6], [px, bottom], null, [px, top], [px, top + 6]]);
     texts.push({ text, x: px, y: bottom + 14, align: "center" });
   }
-  for (const { value, text } of yTicks(y.low, y.high, height, y.log)) {
+  for (const { value, text } of yTicks(y, height)) {
     const py = clamp(Math.round(y.pixel(value)), top, bottom - 1) + 0.5;
     polyline(ctx, theme.text, 1, [[left, py], [left + 6, py], null, ...(periods ? [] : [[right - 6, py], [right, py]])]);
     texts.push({ text, x: left - 7, y: py, align: "right" });

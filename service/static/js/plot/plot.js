@@ -11,7 +11,7 @@ const PNG_RATIO = 3; // pixels of a file per CSS pixel
 let plots = 0;
 
 /** `content()` returns what to draw, null before anything is loaded:
- *   x: {label, low, high, log}, y: {label, low, high, log, periods (mark whole plate periods)},
+ *   x: {label, low, high, log, single (value, of its only tick)}, y: {label, low, high, log, periods (mark whole plate periods)},
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
  *   title, message (shown in the middle of an empty plot),
  *   margins: [left, right], in px, where they are those of another plot,

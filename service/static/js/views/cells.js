@@ -38,11 +38,11 @@ export class PlaneView extends PlotView {
     return [this.columns[column], this.rows[row]];
   }
 
-  cellsShown() {
+  cellsInWindow() {
     const inside = (values, low, high) => Array.from(values.keys()).filter((i) => values[i] >= low && values[i] <= high);
     const { x0, x1, y0, y1 } = this.visible();
     const columns = inside(this.columns, x0, x1);
-    return inside(this.rows, y0, y1).flatMap((row) => columns.map((column) => ({ column, row }))).filter((cell) => !this.isHidden?.(cell));
+    return inside(this.rows, y0, y1).flatMap((row) => columns.map((column) => ({ column, row })));
   }
 
   /** The index of a cell in what is stored row by row. */
@@ -123,12 +123,15 @@ export class ClassLegend {
     return [...this.hidden].map(classQuery).filter(Boolean).join() || null;
   }
 
+  /** The classes of the cells in the window, with their shares. */
   show({ present, ofCell }) {
-    const { hidden } = this;
+    const { hidden, view } = this;
     const { dark } = theme();
-    this.element.replaceChildren(...present.map(({ id, name, cells }) => legendEntry(modeColour(id, dark), h("button", {
+    const ids = view.cellsInWindow().map((cell) => ofCell[view.indexOf(cell)]);
+    const shares = present.map((shown) => ({ ...shown, part: ids.filter((id) => id === shown.id).length / ids.length }));
+    this.element.replaceChildren(...shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
-    }, name), " ", h("small", {}, share(cells / ofCell.length, 2)))));
+    }, name), " ", h("small", {}, share(part, 2)))));
   }
 
   #toggle(id) {

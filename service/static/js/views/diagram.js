@@ -138,7 +138,7 @@ export class Diagram extends PlotView {
     this.classes = modeClasses({ label: joined("label"), bounces: joined("bounces"), periods: joined("periods") });
     let first = 0;
     for (const line of this.lines) {
-      line.classes = this.classes.ofCell.subarray(first, first + line.values.length);
+      Object.assign(line, { first, classes: this.classes.ofCell.subarray(first, first + line.values.length) });
       first += line.values.length;
     }
     this.overlay?.update();
@@ -244,10 +244,13 @@ export class Diagram extends PlotView {
     return cells.sort((a, b) => distance(a) - distance(b))[0] ?? null;
   }
 
-  cellsShown() {
+  cellsInWindow() {
     const all = this.lines.flatMap((line) => Array.from(line.values.keys(), (cell) => ({ line, cell })));
-    return all.filter(({ line, cell }) => this.isVisible(line.values[cell]) && !this.legend.hidden.has(line.classes[cell]));
+    return all.filter(({ line, cell }) => this.isVisible(line.values[cell]));
   }
+
+  indexOf = ({ line, cell }) => line.first + cell;
+  isHidden = ({ line, cell }) => this.legend.hidden.has(line.classes[cell]);
 
   columnsOfTable() {
     const isOne = (valueOf) => new Set(this.lines.map(valueOf)).size < 2;

@@ -23,7 +23,7 @@ const STUDY_TABS = { // by the kind of study; others have their details alone
   multistability: { __proto__: null, attractors: ["Diagram", AttractorDiagram], map: ["Map", AttractorMap], details: TABS.details },
 };
 const SHARED = [...AXES, "cell", "min", "hide"]; // query parameters that all tabs understand
-const MAPPED_FROM = 8; // values of Ω: a sweep of as many opens on its map
+const MAPPED_FROM = 8; // values of Γ and of Ω: a sweep of as many opens on its map
 const WIDE = matchMedia("(min-width: 100rem)"); // beside the map there is room for a diagram
 const POLL_MS = 1000;
 const IDLE_POLL_MS = 5000; // somebody else may resume, rename or delete it
@@ -169,7 +169,7 @@ export class JobView {
     const all = isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { details: TABS.details });
     const isPlane = gamma?.length > 1 && omega?.length > 1;
     const isLeftOut = { modes: !isPlane, map: !isPlane, thresholds: (spec.protocol.axis ?? "gamma") !== "gamma" };
-    const first = isSweep(spec) && isPlane && omega.length >= MAPPED_FROM ? { modes: TABS.modes } : {};
+    const first = isSweep(spec) && isPlane && Math.min(gamma.length, omega.length) >= MAPPED_FROM ? { modes: TABS.modes } : {};
     return { __proto__: null, ...Object.fromEntries(Object.entries({ ...first, ...all }).filter(([tab]) => !isLeftOut[tab])) };
   }
 

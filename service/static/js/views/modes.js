@@ -97,11 +97,12 @@ export class Modes extends PlaneView {
   #hysteresisText() {
     const { hysteresis } = this.cells;
     if (!hysteresis) return "";
-    const differ = (kind) => hysteresis.reduce((sum, value) => sum + (value === kind), 0);
+    const kindsOf = this.cellsInWindow().map((cell) => hysteresis[this.indexOf(cell)]);
+    const differ = (kind) => kindsOf.filter((value) => value === kind).length;
     const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
     const kinds = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
-    const shares = kinds.map(([cells, text]) => `${text} in ${share(cells / hysteresis.length, 2)}`).join(", ");
+    const shares = kinds.map(([cells, text]) => `${text} in ${share(cells / kindsOf.length, 2)}`).join(", ");
     return `Hysteresis: going up and down lead ${shares} of the cells shown.`;
   }
 
@@ -115,7 +116,7 @@ export class Modes extends PlaneView {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
-        ...(this.isPreview ? [["not computed yet: the colour of the nearest cell at its Γ"]] : []),
+        ...(this.isPreview ? [["not computed yet: the colour of the nearest cell"]] : []),
         ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
         ...(hasSpring(this.job) ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],
@@ -153,7 +154,7 @@ export class Modes extends PlaneView {
   }
 }
 
-/** For each cell of a running sweep itself, or while it is not computed the nearest one at its Γ that is. */
+/** For each cell of a running sweep itself, or while it is not computed the nearest one that is: at its Γ, else at the nearest Γ with one. */
 function nearestComputed(outcome, columns) {
   const nearest = Int32Array.from(outcome, (value, cell) => (value === OUTCOME.missing ? -1 : cell));
   const spread = (cell, from) => {
@@ -162,7 +163,10 @@ function nearestComputed(outcome, columns) {
   };
   for (let cell = columns; cell < nearest.length; cell++) spread(cell, cell - columns);
   for (let cell = nearest.length - columns - 1; cell >= 0; cell--) spread(cell, cell + columns);
-  return nearest.map((from, cell) => (from < 0 ? cell : from));
+  const begun = Array.from({ length: columns }, (_, column) => column).filter((column) => nearest[column] >= 0);
+  if (!begun.length) return nearest.map((_, cell) => cell);
+  const source = Array.from({ length: columns }, (_, column) => begun[nearestIndex(begun, column)] - column);
+  return nearest.map((_, cell) => nearest[cell + source[cell % columns]]);
 }
 
 function drawThresholdCurve(ctx, box, xi) {

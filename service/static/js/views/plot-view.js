@@ -51,7 +51,8 @@ async function requestFitting(path, options) {
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   cellsShown(), columnsOfTable()   the cells of the table of what is shown, and its columns (see PagedTable)
+ *   cellsShown(), or cellsInWindow(), isHidden(cell); columnsOfTable()   the cells of the table of what is shown, and
+ *                    its columns (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
  *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
@@ -114,7 +115,7 @@ export class PlotView {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view and start loading; the column beside the plot begins with `shown`: legend, options, notes, and ends with `below`. */
+  /** Build the view and start loading; the column beside the plot has `shown`: legend, options, notes, and ends with `below`. */
   build(root, { controls, label, hint, shown = [], below = [] }) {
     this.tables = below.filter((table) => table instanceof PagedTable);
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
@@ -129,8 +130,8 @@ export class PlotView {
     const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
-      this.#downloads(), actions(this.unzoom, this.logButtons, compute), ...shown, this.readout,
-      actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.measured?.elements, ...below.map((item) => item.element ?? item), this.table.element,
+      this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.#downloads(), actions(this.unzoom, this.logButtons, compute),
+      ...shown, this.measured?.elements, ...below.map((item) => item.element ?? item), this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
@@ -163,6 +164,11 @@ export class PlotView {
 
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
   #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
+  #updateLegend = debounced(ANNOUNCED_MS, () => this.signal.aborted || !this.isLoaded || this.showLegend());
+
+  cellsShown() {
+    return this.cellsInWindow().filter((cell) => !this.isHidden?.(cell));
+  }
 
   isVisible(x, y = null) {
     const { x0, x1, y0, y1 } = this.visible();
@@ -179,7 +185,7 @@ export class PlotView {
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
-  axisOf = (axis) => ({ label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log") });
+  axisOf = (axis) => ({ label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log"), single: this.grid[axis].length > 1 ? undefined : this.grid[axis][0] });
 
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
@@ -221,6 +227,7 @@ export class PlotView {
     if (this.paths().join() !== this.requested) return this.load();
     this.plot.redraw();
     this.#updateTable();
+    this.#updateLegend();
   }
 
   async #load(signal) {

@@ -39,7 +39,7 @@ export class JobSummary {
     this.progress.dataset.state = state;
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
-    this.amount.textContent = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(job);
+    this.amount.textContent = this.amount.title = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(job);
     const notices = [...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : [])];
     this.notice.hidden = !notices.length;
     this.notice.replaceChildren(...notices);
@@ -52,8 +52,8 @@ export function amount({ state, progress: { cells_done: done, cells_total: total
   const isAdaptive = (computed ?? null) !== null;
   if (state === "done") return isAdaptive ? `${plural(total, "cell")}, ${count(computed)} computed` : plural(total, "cell");
   const known = isAdaptive ? `, ${count(computed)} of at least ${count(needed)} computed` : "";
-  const text = `${number(percent, 3)} % of ${plural(total, "cell")}${known}`;
-  return state === "running" && eta !== null && done ? `${text}, ${duration(eta)} left` : text;
+  const left = state === "running" && eta !== null && done ? `, ${duration(eta)} left` : "";
+  return `${number(percent, 3)} % of ${plural(total, "cell")}${left}${known}`;
 }
 
 export function summary({ spec, choice }) {

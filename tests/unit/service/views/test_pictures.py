@@ -27,6 +27,7 @@ from tables import for_each
 
 from kernel.labels import LABELS
 from kernel.params import Outcome
+from kernel.threshold import threshold as threshold_of
 from service.figures import tradeoff
 from service.pictures import (
     CLASSES,
@@ -220,6 +221,20 @@ def test_a_map_of_one_row_shows_its_cells():
         True,
     )
     assert axes.collections[0].get_datalim(axes.transData).height > 0.0
+
+
+def test_the_threshold_of_one_row_or_column_is_what_it_is_there():
+    """Around one value the axis goes on, but not the cells."""
+    row, column = (wide_map(0.5, 1.5).isel({axis: [10]}) for axis in ("omega", "gamma"))
+    lines = []
+    for cells in (row, column):
+        axes = Figure().subplots()
+        draw_modes(axes, cells)
+        lines.append(axes.lines[-1])
+    np.testing.assert_array_equal(lines[0].get_xdata(), threshold_of(row.omega.values, 0.1).repeat(2))
+    crossed = np.asarray(lines[1].get_ydata(), float)
+    assert len(crossed) > 0
+    np.testing.assert_allclose(threshold_of(crossed, 0.1), column.gamma.item(), rtol=0.01)
 
 
 def test_an_axis_of_one_value_has_one_tick():
