@@ -59,9 +59,12 @@ function classOf(label, bounces, periods, multiplier) {
 
 /** Classes of cells by colour, by their multipliers if those are given: {ofCell: Uint8Array, present: [{id, name}, …]}, `present` in legend order. */
 export function modeClasses({ outcome, label: labels = outcome, bounces, periods, multiplier }) {
-  const ofCell = Uint8Array.from(labels, (label, i) => classOf(label, bounces[i], periods[i], multiplier?.[i]));
-  const found = new Set(ofCell);
-  return { ofCell, present: ORDER.filter((id) => found.has(id)).map((id) => ({ id, name: CLASSES[id].name })) };
+  const [ofCell, isPresent] = [new Uint8Array(labels.length), new Uint8Array(CLASSES.length)];
+  for (let i = 0; i < ofCell.length; i++) {
+    ofCell[i] = classOf(labels[i], bounces[i], periods[i], multiplier?.[i]);
+    isPresent[ofCell[i]] = 1;
+  }
+  return { ofCell, present: ORDER.filter((id) => isPresent[id]).map((id) => ({ id, name: CLASSES[id].name })) };
 }
 
 /** How queries of the service name a class; null where they have no name for it. */

@@ -38,11 +38,17 @@ export class PlaneView extends PlotView {
     return [this.columns[column], this.rows[row]];
   }
 
-  cellsInWindow() {
+  indicesInWindow() {
     const inside = (values, low, high) => Array.from(values.keys()).filter((i) => values[i] >= low && values[i] <= high);
     const { x0, x1, y0, y1 } = this.visible();
-    const columns = inside(this.columns, x0, x1);
-    return inside(this.rows, y0, y1).flatMap((row) => columns.map((column) => ({ column, row })));
+    const [columns, rows] = [inside(this.columns, x0, x1), inside(this.rows, y0, y1)];
+    const indices = new Uint32Array(columns.length * rows.length); // up to a million: no object for each
+    rows.forEach((row, i) => columns.forEach((column, j) => { indices[i * columns.length + j] = this.indexOf({ column, row }); }));
+    return indices;
+  }
+
+  cellsInWindow() {
+    return Array.from(this.indicesInWindow(), (i) => ({ column: i % this.columns.length, row: Math.floor(i / this.columns.length) }));
   }
 
   /** The index of a cell in what is stored row by row. */
@@ -127,8 +133,8 @@ export class ClassLegend {
   show({ present, ofCell }) {
     const { hidden, view } = this;
     const { dark } = theme();
-    const ids = view.cellsInWindow().map((cell) => ofCell[view.indexOf(cell)]);
-    const shares = present.map((shown) => ({ ...shown, part: ids.filter((id) => id === shown.id).length / ids.length }));
+    const parts = sharesAt(view.indicesInWindow(), ofCell);
+    const shares = present.map((shown) => ({ ...shown, part: parts[shown.id] }));
     this.element.replaceChildren(...shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
     }, name), " ", h("small", {}, share(part, 2)))));
@@ -141,6 +147,13 @@ export class ClassLegend {
     this.view.showLegend();
     this.view.draw();
   }
+}
+
+/** The share of each value of `values`, small numbers, at these indices. */
+export function sharesAt(indices, values) {
+  const counts = new Float64Array(256);
+  for (let i = 0; i < indices.length; i++) counts[values[indices[i]]]++;
+  return counts.map((cells) => cells / indices.length);
 }
 
 export const legendEntry = (colour, ...texts) => h("li", {}, swatch(colour), h("div", {}, texts));

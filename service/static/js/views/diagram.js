@@ -249,7 +249,10 @@ export class Diagram extends PlotView {
     return all.filter(({ line, cell }) => this.isVisible(line.values[cell]));
   }
 
-  indexOf = ({ line, cell }) => line.first + cell;
+  indicesInWindow() {
+    return this.cellsInWindow().map(({ line, cell }) => line.first + cell);
+  }
+
   isHidden = ({ line, cell }) => this.legend.hidden.has(line.classes[cell]);
 
   columnsOfTable() {

@@ -7,7 +7,7 @@ import { share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, hasSpring, nearestIndex, threshold } from "../lib/physics.js";
 import { modeClasses, modeColour } from "../plot/colours.js";
 import { CURVE_DASH, legendLine, polyline, rgba32 } from "../plot/drawing.js";
-import { ClassLegend, PlaneView, hatchAt, hatchSymbol, windowOf } from "./cells.js";
+import { ClassLegend, PlaneView, hatchAt, hatchSymbol, sharesAt, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { UNFINISHED, titleOf } from "./progress.js";
 
@@ -97,12 +97,11 @@ export class Modes extends PlaneView {
   #hysteresisText() {
     const { hysteresis } = this.cells;
     if (!hysteresis) return "";
-    const kindsOf = this.cellsInWindow().map((cell) => hysteresis[this.indexOf(cell)]);
-    const differ = (kind) => kindsOf.filter((value) => value === kind).length;
-    const [mode, flights] = [differ(HYSTERESIS.mode), differ(HYSTERESIS.flights)];
+    const parts = sharesAt(this.indicesInWindow(), hysteresis);
+    const [mode, flights] = [parts[HYSTERESIS.mode], parts[HYSTERESIS.flights]];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
-    const kinds = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([cells]) => cells);
-    const shares = kinds.map(([cells, text]) => `${text} in ${share(cells / kindsOf.length, 2)}`).join(", ");
+    const kinds = [[mode, "to other modes (hatched /)"], [flights, "to other flights of one mode (hatched \\)"]].filter(([part]) => part);
+    const shares = kinds.map(([part, text]) => `${text} in ${share(part, 2)}`).join(", ");
     return `Hysteresis: going up and down lead ${shares} of the cells shown.`;
   }
 

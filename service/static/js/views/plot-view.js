@@ -56,7 +56,7 @@ async function requestFitting(path, options) {
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
  *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
- *   legend, classes  optional; a ClassLegend and its classes. Or showLegend(), called when data or colours have changed */
+ *   legend, classes, indicesInWindow()   optional; a ClassLegend, the classes of cells, and those in the window. Or showLegend(), called when data or colours have changed */
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
