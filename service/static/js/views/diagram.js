@@ -245,8 +245,9 @@ export class Diagram extends PlotView {
   }
 
   cellsInWindow() {
+    const { x0, x1 } = this.visible(); // once: a line may have a hundred thousand cells
     const all = this.lines.flatMap((line) => Array.from(line.values.keys(), (cell) => ({ line, cell })));
-    return all.filter(({ line, cell }) => this.isVisible(line.values[cell]));
+    return all.filter(({ line: { values }, cell }) => values[cell] >= x0 && values[cell] <= x1);
   }
 
   indicesInWindow() {
