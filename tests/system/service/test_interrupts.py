@@ -74,19 +74,23 @@ def test_a_signal_ends_everything(
     assert ended.seconds < 10.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
+def ran(code: str) -> subprocess.CompletedProcess[str]:
+    """A process that ran this code; its standard error ends with the last process that has it."""
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=DEADLINE)
+
+
 def test_a_signal_within_a_finalizer_ends_a_command():
     """The import system has finalizers, in which Python ignores what is raised."""
     code = (
-        "import os, signal, threading, time, weakref; from service.cli import entry;"
+        "import signal, threading, weakref; from service.cli import entry;"
         "signal.signal(signal.SIGINT, entry._end);"
-        "owner = threading.Thread();"
-        "reference = weakref.ref(owner, lambda _: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0));"
+        "owner = threading.Event();"
+        "reference = weakref.ref(owner, lambda _: signal.raise_signal(signal.SIGINT));"
         "del owner;"
-        "time.sleep(60)"
+        "threading.Event().wait(60)"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=DEADLINE
-    )
+    done = ran(code)
     assert (done.returncode, done.stderr.strip()) == (130, "")
 
 
@@ -98,9 +102,6 @@ def test_what_workers_shared_is_removed_without_a_word_whenever_a_command_ends()
         "sys.stdout.write(queue._rlock._semlock.name);"
         "entry._end_now(130)"
     )
-    # Its standard error closes with the last process that has it: the tracker of what is shared.
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=DEADLINE
-    )
+    done = ran(code)
     assert (done.returncode, done.stderr) == (130, "")
     assert not Path(f"/dev/shm/sem.{done.stdout.removeprefix('/')}").exists()
