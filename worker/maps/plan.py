@@ -20,7 +20,7 @@ MAX_TILE_BYTES: Final = 20 * 2**20
 #: Least and largest share of an adaptive map's cells that are computed, for REFINED_SIDE rows and columns:
 #: measured 0.2% to 0.9% by bouncing and 15% to 26% by mode at three xi (`python -m
 #: benchmarks.adaptive`). Windows on their finest parts have more.
-REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.30)}
+REFINED_SHARE: Final = {"bouncing": (0.001, 0.03), "mode": (0.02, 0.26)}
 REFINED_SIDE: Final = 1025
 #: The share falls with the number of rows as its reciprocal to this power, which follows from the dimension
 #: of the boundaries: 1 for bouncing, about 1.3 for modes.

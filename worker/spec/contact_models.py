@@ -47,13 +47,13 @@ MAX_STEPS_PER_CONTACT: Final = 1_000_000
 
 #: Core-microseconds per cell per plate period of `rigid`: of a cell alone; with restitution above 0, in lanes
 #: and alone.
-RIGID_ALONE_US: Final = 0.75
-RIGID_ELASTIC_US: Final = 0.48
-RIGID_ELASTIC_ALONE_US: Final = 1.3
+RIGID_ALONE_US: Final = 0.88
+RIGID_ELASTIC_US: Final = 0.53
+RIGID_ELASTIC_ALONE_US: Final = 1.5
 #: The same of `soft`: for each decade of penetration below the default, as more hops follow an impact on a
 #: stiffer contact; of a cell alone; the additional share from restitution SOFT_ELASTIC on.
-SOFT_DECADE_US: Final = 0.09
-SOFT_ALONE_US: Final = 2.0
+SOFT_DECADE_US: Final = 0.1
+SOFT_ALONE_US: Final = 2.35
 SOFT_ELASTIC: Final = 0.3
 SOFT_ELASTIC_SHARE: Final = 1.2
 #: Cost of a spring's plate period at these Omega relative to the mean: a slow plate has more contacts and
@@ -336,12 +336,12 @@ class ContactModel(NamedTuple):
 #: docs/architecture.md). The costs fit twenty measured studies (`python -m benchmarks.estimates`). On a ramp
 #: fewer cells of springs are at rest.
 CONTACT_MODELS: Final[dict[str, ContactModel]] = {
-    "soft": ContactModel(Soft, "kernel.models.soft", 0.57, "soft contact", 0.53, 1.4),
-    "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0042, "stepped contact"),
-    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.215, "rigid contact", 0.77, 1.4),
-    "ball": ContactModel(Ball, "kernel.models.ball", 0.145, "ball contact", 0.95),
+    "soft": ContactModel(Soft, "kernel.models.soft", 0.67, "soft contact", 0.53, 1.4),
+    "stepped": ContactModel(Stepped, "kernel.models.stepped", 0.0049, "stepped contact"),
+    "rigid": ContactModel(Rigid, "kernel.models.rigid", 0.25, "rigid contact", 0.77, 1.4),
+    "ball": ContactModel(Ball, "kernel.models.ball", 0.17, "ball contact", 0.95),
     # until a model is chosen: the exact one, which is the most expensive
-    "auto": ContactModel(Auto, "kernel.models.soft", 0.57, "auto contact", 0.53, 1.4),
+    "auto": ContactModel(Auto, "kernel.models.soft", 0.67, "auto contact", 0.53, 1.4),
 }
 
 
