@@ -39,11 +39,12 @@ export class PlaneView extends PlotView {
   }
 
   indicesInWindow() {
-    const inside = (values, low, high) => Array.from(values.keys()).filter((i) => values[i] >= low && values[i] <= high);
+    const inside = (values, low, high) => [values.findIndex((value) => value >= low), values.findLastIndex((value) => value <= high) + 1];
     const { x0, x1, y0, y1 } = this.visible();
-    const [columns, rows] = [inside(this.columns, x0, x1), inside(this.rows, y0, y1)];
-    const indices = new Uint32Array(columns.length * rows.length); // up to a million: no object for each
-    rows.forEach((row, i) => columns.forEach((column, j) => { indices[i * columns.length + j] = this.indexOf({ column, row }); }));
+    const [[left, right], [bottom, top]] = [inside(this.columns, x0, x1), inside(this.rows, y0, y1)];
+    const indices = new Uint32Array(Math.max(right - left, 0) * Math.max(top - bottom, 0)); // up to a million: no object for each
+    let i = 0;
+    for (let row = bottom; row < top; row++) for (let column = left; column < right; column++) indices[i++] = row * this.columns.length + column;
     return indices;
   }
 
@@ -75,8 +76,8 @@ export class PlaneView extends PlotView {
     if (this.current) drawRing(ctx, box, ...this.at(this.current), 6);
   }
 
-  /** Each pixel has the colour of the nearest cell: `colourOf(cell, x, y)` as 32 bits; `cell` is its index, x and y are in px. */
-  drawCells(ctx, box, colourOf) {
+  /** Each pixel has the colour of the nearest cell, `colourOf(cell)` as 32 bits, or what is `over(cell, x, y)`, unless that is null; `cell` is its index, x and y are in px. */
+  drawCells(ctx, box, colourOf, over = null) {
     const { x0, x1, y0, y1 } = windowOf(this.columns, this.rows, this.isPositive);
     const [left, right] = [x0, x1].map((value) => clamp(box.x.pixel(value), box.left, box.left + box.width));
     const [bottom, top] = [y0, y1].map((value) => clamp(box.y.pixel(value), box.top, box.top + box.height));
@@ -84,9 +85,12 @@ export class PlaneView extends PlotView {
     if (!width || !height) return;
     const nearest = Int32Array.from({ length: width }, (_, i) => nearestIndex(this.columns, box.x.value(left + ((i + 0.5) * (right - left)) / width)));
     const fill = (pixels) => {
-      for (let y = 0; y < height; y++) {
+      for (let y = 0, start = 0, last = -1; y < height; y++, start += width) {
         const first = this.indexOf({ row: nearestIndex(this.rows, box.y.value(top + ((y + 0.5) * (bottom - top)) / height)), column: 0 });
-        for (let i = 0; i < width; i++) pixels[y * width + i] = colourOf(first + nearest[i], i / box.ratio, y / box.ratio);
+        if (first === last) pixels.copyWithin(start, start - width, start);
+        else for (let i = 0; i < width; i++) pixels[start + i] = colourOf(first + nearest[i]);
+        last = over ? -1 : first;
+        for (let i = 0; over && i < width; i++) pixels[start + i] = over(first + nearest[i], i / box.ratio, y / box.ratio) ?? pixels[start + i];
       }
     };
     bitmap(ctx, width, height, fill, left, top, right, bottom);

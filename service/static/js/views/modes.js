@@ -126,17 +126,18 @@ export class Modes extends PlaneView {
   }
 
   #drawModes(ctx, box) {
-    const { computed, hysteresis } = this.cells;
+    const { painted, cells: { computed, hysteresis } } = this;
     const colours = new Uint32Array(256);
     const { hidden } = this.legend;
     for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
-    const mark = this.isAdaptive && this.showsComputed.checked ? rgba32(box.theme.cursor) : null;
-    this.drawCells(ctx, box, (cell, x, y) => {
+    const mark = rgba32(box.theme.cursor);
+    const isMarked = this.isAdaptive && this.showsComputed.checked;
+    const over = (cell, x, y) => {
       const line = hysteresis?.[cell] ? hatchAt(x, y, hysteresis[cell] === HYSTERESIS.mode) : -1;
-      if (line >= 0) return hatch[line];
-      return mark !== null && computed[cell] ? mark : colours[this.painted[cell]];
-    });
+      return hatch[line] ?? (isMarked && computed[cell] ? mark : null);
+    };
+    this.drawCells(ctx, box, (cell) => colours[painted[cell]], hysteresis || isMarked ? over : null);
   }
 
   isHidden(cell) {

@@ -196,7 +196,7 @@ export class AttractorMap extends AttractorView {
     const colourOf = ({ id }) => numberedColour(id, dark);
     const colours = this.cells.map(([first]) => rgba32(first ? colourOf(first) : surface));
     const lines = this.cells.map(([first, second]) => second && rgba32(colourOf(second) === colourOf(first) ? text : colourOf(second)));
-    this.drawCells(ctx, box, (cell, x, y) => (isHatched && lines[cell] && hatchAt(x, y) >= 0 ? lines[cell] : colours[cell]));
+    this.drawCells(ctx, box, (cell) => colours[cell], isHatched ? (cell, x, y) => (hatchAt(x, y) < 0 ? null : lines[cell]) : null);
   }
 
   cellOf(cell) {
