@@ -291,10 +291,11 @@ class ResultMethods(Methods):
         mode.
 
         Returns a Dataset with the attribute `complete` and the variables `sampled`, `changed`, `undecided`,
-        `share`, `low`, `high`, `largest` (rad), `covered`, `outcomes`, `cell_set`, `cell_direction`,
-        `cell_gamma`, `cell_omega`, `cell_xi`, `cell_stored`, `cell_reference`, `cell_deviation` (rad),
-        `cell_undecided`, `cells`, `certified`. Waits up to `timeout` seconds for the workers, and shows
-        `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
+        `share`, `low`, `high`, `largest` (rad), `covered`, `deviation` (rad), `outcomes`, `mode_stored`,
+        `mode_reference`, `mode_cells`, `cell_set`, `cell_direction`, `cell_gamma`, `cell_omega`, `cell_xi`,
+        `cell_stored`, `cell_reference`, `cell_deviation` (rad), `cell_undecided`, `cells`, `certified`. Waits
+        up to `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        TooLarge naming what fits.
         """
         return self.result("audit", cells=cells, followed=followed, seed=seed, tolerance=tolerance, timeout=timeout, progress=progress)
 

@@ -1,7 +1,9 @@
 """The audit of a sweep: how many of its cells a reference would change (`worker.analysis.audit`)."""
 
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from math import nan, prod
+from math import inf, nan, prod
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
@@ -43,10 +45,17 @@ _QUESTION: Final = (
     row("covered", ("question",), "<f8",
         "share of all cells within largest or aperiodic, at least, with 95 % confidence"),
 )  # fmt: skip
+_DEVIATION: Final = row(
+    "deviation", ("coverage",), "<f8", "by which so many of all cells deviate at most", "rad",
+    comment="with 95 % confidence; aperiodic cells count as within; infinite where too few are drawn",
+)  # fmt: skip
 _OF_SWEEP: Final = (
     row(
         "outcomes", ("outcome", "true_outcome"), "<i4", "drawn cells by outcome, stored and of the reference"
     ),
+    row("mode_stored", ("change",), "U", "outcome or mode, stored"),
+    row("mode_reference", ("change",), "U", "outcome or mode of the reference"),
+    row("mode_cells", ("change",), "<i4", "drawn cells with both"),
     row("cell_set", ("cell",), "U", "what the cell was drawn for"),
     row("cell_direction", ("cell",), "U", "direction of the sweep"),
     row("cell_gamma", ("cell",), "<f8", "Γ"),
@@ -59,6 +68,9 @@ _OF_SWEEP: Final = (
     row("cells", (), "<i8", "cells of the sweep"),
     row("certified", (), "<f8", "share of the cells certified within the tolerance, not drawn for numerics"),
 )
+
+#: Shares of all cells for which the deviation is said.
+COVERAGES: Final = (0.5, 0.9, 0.95, 0.99)
 
 #: The questions, in order.
 QUESTIONS: Final = (
@@ -113,19 +125,24 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     by_field = np.moveaxis(numbers if both else numbers[0], -1, 0)
     answered = dict(zip(_Answer._fields, by_field, strict=True))
     matrix = np.zeros((len(Outcome), len(Outcome)), np.int32)
-    own = table["set"] == audit.SETS.index("numerics")
-    np.add.at(matrix, (table["outcome"][own], table["true_outcome"][own]), 1)
-    of_sweep = {"outcomes": matrix, "cells": sizes["cells"], "certified": certified}
+    own = _drawn(table, "numerics")
+    np.add.at(matrix, (own["outcome"], own["true_outcome"]), 1)
+    of_sweep = {"outcomes": matrix, **_modes(own), "cells": sizes["cells"], "certified": certified}
     listed = _changed_cells(study.spec, table, query.tolerance)
-    data = variables(_QUESTION, answered, ("against",) * both) | variables(_OF_SWEEP, of_sweep | listed)
+    against = ("against",) * both
+    deviation = np.array([_deviations(_drawn(table, name), _sizes(sizes, name)) for name in answers])
+    by_question = answered | {"deviation": deviation if both else deviation[0]}
+    data = variables((*_QUESTION, _DEVIATION), by_question, against) | variables(_OF_SWEEP, of_sweep | listed)
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
         "question": coordinate("question", list(QUESTIONS)),
+        "coverage": coordinate("coverage", COVERAGES),
         "outcome": coordinate("outcome", names),
         "true_outcome": coordinate("true_outcome", names),
     }
-    attrs = {"sentence": _sentence(answers, certified, query.tolerance), "seed": query.seed,
+    sentence = _sentence(answers, deviation, certified, query.tolerance)
+    attrs = {"sentence": sentence, "seed": query.seed,
              "tolerance": query.tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
 
@@ -137,8 +154,7 @@ def answers_of(
 
     table: arrays of FIELDS of the drawn cells. sizes: SIZES of the sweep.
     """
-    drawn = {name: {field: values[table["set"] == i] for field, values in table.items()}
-             for i, name in enumerate(audit.SETS)}  # fmt: skip
+    drawn = {name: _drawn(table, name) for name in audit.SETS}
     labelled = bool(study.spec.exponents)
     answers = {
         "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
@@ -149,9 +165,19 @@ def answers_of(
         }
     }
     if _contact(study) is not None:
-        uncertified = {**sizes, "certified": 0, "certified_error": 0.0}
-        answers["model"] = _answers(drawn["model"], uncertified, query.tolerance, labelled=False)
+        answers["model"] = _answers(drawn["model"], _sizes(sizes, "model"), query.tolerance, labelled=False)
     return answers
+
+
+def _drawn(table: "_Table", name: str) -> "_Table":
+    """The drawn cells of a set."""
+    own = table["set"] == audit.SETS.index(name)
+    return {field: values[own] for field, values in table.items()}
+
+
+def _sizes(sizes: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """SIZES of the sweep for a question: no certificate says that the contact is right."""
+    return {**sizes, "certified": 0, "certified_error": 0.0} if name == "model" else sizes
 
 
 class _Answer(NamedTuple):
@@ -212,6 +238,30 @@ def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled
     within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest))
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
     return answers
+
+
+def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
+    """Within which deviation COVERAGES of all cells are, rad, by a sample of those that are not certified."""
+    rest, sampled = sizes["cells"] - sizes["certified"], len(table["outcome"])
+    weight = rest / sizes["cells"]
+    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
+    own = np.sort(np.where(repeating, np.nan_to_num(table["deviation"], posinf=inf), 0.0)).tolist()
+    values = [sizes["certified_error"], *np.maximum(own, sizes["certified_error"]), inf]
+
+    def share_within(number: int) -> float:
+        return float(1.0 - weight * (1.0 - covered(sampled, rest, sampled - number)))
+
+    return [values[bisect_left(range(sampled + 1), share, key=share_within)] for share in COVERAGES]
+
+
+def _modes(table: _Table) -> dict[str, list[Any]]:
+    """The error matrix of modes, as its elements above 0."""
+    pairs = Counter(zip(_mode_labels(table, ""), _mode_labels(table, "true_"), strict=True))
+    return {
+        "mode_stored": [stored for stored, _ in pairs],
+        "mode_reference": [reference for _, reference in pairs],
+        "mode_cells": list(pairs.values()),
+    }
 
 
 def _answer(changed: Any, undecided: Any, population: int, weight: float = 1.0) -> _Answer:
@@ -279,10 +329,12 @@ def _mode_labels(table: _Table, prefix: str) -> list[str]:
     return [attractor_label(*mode) for mode in zip(*fields, strict=True)]
 
 
-def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, tolerance: float) -> str:
-    """The audit in words."""
+def _sentence(
+    answers: Mapping[str, Mapping[str, _Answer]], deviations: Any, certified: float, tolerance: float
+) -> str:
+    """The audit in words; deviations: of COVERAGES for each of `answers`, (answers, coverages)."""
     sentences = []
-    for against, questions in answers.items():
+    for (against, questions), deviation in zip(answers.items(), deviations, strict=True):
         mode, flights = questions["mode"], questions["flights"]
         begins, drawn = ("numerics: " if against == "numerics" else "contact: "), "drawn"
         if against == "numerics" and certified:
@@ -293,6 +345,9 @@ def _sentence(answers: Mapping[str, Mapping[str, _Answer]], certified: float, to
             f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
             f"{tolerance:g} rad"
         )
+        if said := [*zip(COVERAGES, deviation[np.isfinite(deviation)], strict=False)]:
+            share, most = said[-1]
+            sentences[-1] += f", {100.0 * share:g} % of the cells by at most {1.05 * most:.2g}"  # rounded up
     followed = answers["numerics"]["integrator"]
     if followed.sampled:
         sentences.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
@@ -373,6 +428,6 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
 
 VIEW: Final = View(
     "audit", "Audit of a sweep", SweepSpec, AuditQuery, compute, estimate,
-    variables=(*_QUESTION, *_OF_SWEEP), rows="share",
+    variables=(*_QUESTION, _DEVIATION, *_OF_SWEEP), rows="share",
     printed=("share", "cell_stored"), parts=parts, kept=True,
 )  # fmt: skip

@@ -39,9 +39,12 @@ def bounds(
     return lower / population, max(upper, high) / population
 
 
-def covered(sampled: int, population: int) -> float:
-    """Lower bound, with 95 %, of the share of a population at or below the largest value of a sample."""
-    return 1.0 - bounds(0, 0, sampled, population)[1]
+def covered(sampled: int, population: int, above: int = 0) -> float:
+    """Lower bound, with 95 %, of the share of a population at or below a value of a sample.
+
+    above: members of the sample with larger values; by default the value is the largest.
+    """
+    return 1.0 - bounds(0, above, sampled, population)[1]
 
 
 def _at_most(number: int, sampled: int, having: int, population: int) -> float:

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
@@ -50,6 +51,11 @@ def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):
     assert mode.low > 0.1
     assert mode.low <= mode.share <= mode.high
     assert found.outcomes.values.sum() == 60
+    assert found.mode_cells.values.sum() == 60
+    largest = found.sel(question="flights").largest
+    assert found.deviation.sel(coverage=0.95) == largest  # the rule of three: 59 of 59 cells
+    assert found.deviation.sel(coverage=0.5) < largest
+    assert np.isnan(found.deviation.sel(coverage=0.99))  # infinite, which JSON does not know
     assert set(found.cell_set.values) <= {"numerics", "besides", "area", "threshold"}
     anywhere = found.isel(cell=found.cell_set.values == "area")
     assert anywhere.cell_gamma.size > 0
