@@ -158,9 +158,10 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
             axes.plot(x, y, alpha=0.8, rasterized=len(x) > MANY_POINTS, zorder=3, **style)
     _draw_periods(axes)
     if "branch_gamma" in diagram:
-        names = ("gamma", "flight_time", "stable", "violations")
+        names = (along, "flight_time", "stable", "violations")
         cycles = xarray.Dataset({name: diagram.variables[f"branch_{name}"] for name in names})
-        draw_branches(axes, cycles.assign(flight_time=cycles.flight_time.where(cycles.violations == 0)))
+        cycles = cycles.assign(flight_time=cycles.flight_time.where(cycles.violations == 0))
+        draw_branches(axes, cycles, along)
         plate = "" if diagram.attrs.get("own_branches", True) else ", ideal plate"
         for style, label in (("-", f"stable cycle{plate}"), ("--", f"unstable cycle{plate}")):
             axes.plot([], [], style, color=LINES["branch"], label=label, markersize=0.0)

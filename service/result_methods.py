@@ -52,7 +52,7 @@ class ResultMethods(Methods):
         flight_stop: Annotated[float | None, "rad, longest flight shown"] = None,
         hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; of a map by multiplier also multiplier-0.2 to multiplier-1"] = None,
         caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
-        branches: Annotated[bool, "along gamma: cycles of one bounce, up to three periods; not in tables"] = False,
+        branches: Annotated[bool, "cycles, stable and unstable: along gamma of one bounce, up to three periods, else those that cells settled to; not in tables"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -65,9 +65,9 @@ class ResultMethods(Methods):
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
         (rad), `flights`, `bounces`, `periods`, `flight_error` (rad), `multiplier`, `multiplier_angle` (rad),
         `lyapunov`, `lyapunov_error`, `computed`, `outcome`, `label`, `branch_bounces`, `branch_periods`,
-        `branch_gamma`, `branch_flight_time` (rad), `branch_stable`, `branch_violations`. Waits up to
-        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
-        TooLarge naming what fits.
+        `branch_gamma`, `branch_omega`, `branch_xi`, `branch_flight_time` (rad), `branch_stable`,
+        `branch_violations`. Waits up to `timeout` seconds for the workers, and shows `progress`. Raises
+        BadRequest naming the parameter, TooLarge naming what fits.
         """
         return self.result("diagram", along=along, gamma=gamma, omega=omega, xi=xi, direction=direction, min_flight=min_flight, every=every, log=log, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, hide=hide, caption=caption, branches=branches, timeout=timeout, progress=progress)
 
@@ -166,18 +166,20 @@ class ResultMethods(Methods):
         self,
         omega: float | None = None,
         xi: float | None = None,
-        direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
+        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
         gamma_max: Annotated[float | None, "branches are cut above this Γ; default: 8, of a study of orbits its own"] = None,
         doubled: Annotated[bool, "branches of twice the period that begin at flips as well"] = False,
+        along: Annotated[Literal["gamma", "omega", "xi"], "what varies on the branches"] = "gamma",
+        gamma: float | None = None,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
         """Branches of the cycles that cells settled to.
 
-        Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
-        stored; of a sweep workers follow them, some seconds at most once compiled. `flight_time` has all flights
-        of a cycle that count, the longest first. `skipped` are the periodic cells from which no branch was
-        followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
+        Those along an axis, on their own contact, stable and unstable, with their events. A study of orbits has
+        them stored, along Γ; of a sweep workers follow them, some seconds at most once compiled. `flight_time`
+        has all flights of a cycle that count, the longest first. `skipped` are the periodic cells from which no
+        branch was followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
@@ -188,7 +190,7 @@ class ResultMethods(Methods):
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
-        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, doubled=doubled, timeout=timeout, progress=progress)
+        return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, doubled=doubled, along=along, gamma=gamma, timeout=timeout, progress=progress)
 
     def basins(
         self,

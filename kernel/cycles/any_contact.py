@@ -61,13 +61,14 @@ def branches_at(
     """
     gamma, omega, xi = map(float, cell)
     lines = branches(plate, omega, xi, periods, span=(RANGE[0], max(gamma, RANGE[1])), points=points)
-    value = omega if along == "omega" else xi
-    cycles = (
-        point.cycles._replace(along=along, gamma=gamma).on_branch(np.append(point.x, value))
-        for line in lines
-        for point in passing(line, gamma)
-    )
+    cycles = (turned(point, along, gamma) for line in lines for point in passing(line, gamma))
     return all_through(cycles, span, points)
+
+
+def turned(point: Point, along: str, gamma: float) -> Point:
+    """The cycle of a branch along Gamma at `gamma`, on its branch along "omega" or "xi"."""
+    cycles = point.cycles._replace(along=along, gamma=gamma)
+    return cycles.on_branch(np.append(point.x, getattr(cycles, along)))
 
 
 def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int = POINTS) -> list[Followed]:

@@ -14,6 +14,7 @@ from kernel.modes import counted
 from kernel.params import Outcome
 from service import pictures
 from service.errors import InvalidRequest
+from service.views import orbits as cell_orbits
 from service.views import selection
 from service.views.springs import orbits
 from service.views.springs.branches import ROWS
@@ -22,7 +23,7 @@ from service.views.variables import cells_dataset, coordinate
 from service.views.view import Call, Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.spec.contact_models import CONTACT_MODELS, Rigid, Soft, Stepped
 from worker.study import Array
-from worker.sweep import SweepSpec, schema
+from worker.sweep import AXES, SweepSpec, schema
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +48,10 @@ class DiagramQuery(Query):
     caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
     branches: Annotated[
         bool,
-        Field(description="along gamma: cycles of one bounce, up to three periods; not in tables"),
+        Field(
+            description="cycles, stable and unstable: along gamma of one bounce, up to three periods, else "
+            "those that cells settled to; not in tables"
+        ),
     ] = False
 
 
@@ -57,21 +61,25 @@ _CYCLES: Final = "1-1,1-2,1-3"
 _BEYOND: Final = 2.0
 #: Their variables in a diagram, by the names that a result of orbits has.
 _OF_BRANCHES: Final = {
-    name: ROWS[name]._replace(name=f"branch_{name.removeprefix('branch_')}")
-    for name in ("branch_bounces", "branch_periods", "gamma", "flight_time", "stable", "violations")
+    name: ROWS[name]._replace(name=f"branch_{name.removeprefix('branch_')}", dims=dims)
+    for dims, names in (
+        (("branch",), ("branch_bounces", "branch_periods")),
+        (("branch", "point"), ("gamma", "omega", "xi", "flight_time", "stable", "violations")),
+    )
+    for name in names
 }
 
 
 def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
-    """The branches in a diagram, if any.
+    """The branches in a diagram along gamma, if any.
 
     Of the sweep's contact, if its cycles can be followed, else of an ideal plate. Raises InvalidRequest.
     """
-    if not query.branches:
+    if not query.branches or query.along != "gamma":
         return None
     model = spec.model
-    if query.along != "gamma" or not isinstance(model, Rigid | Soft | Stepped):
-        raise InvalidRequest.of("branches", "are along gamma, of rigid, soft and stepped contacts")
+    if not isinstance(model, Rigid | Soft | Stepped):
+        raise InvalidRequest.of("branches", "are of rigid, soft and stepped contacts")
     fixed = {axis: point.value for axis, point in selection.fixed_axes(spec, query).items()}
     own = model.model_dump(include={"restitution", "penetration", "adhesive"}) | {"model": model.kind}
     gamma = spec.axis_values("gamma")
@@ -82,8 +90,17 @@ def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
     return orbits.OrbitsQuery(**fixed, **own_or_window, modes=_CYCLES, gamma_max=top)
 
 
+def _cells(query: DiagramQuery) -> cell_orbits.CellsQuery | None:
+    """The branches in a diagram along another axis, if any: of its cells."""
+    if not query.branches or query.along == "gamma":
+        return None
+    return cell_orbits.CellsQuery(**query.model_dump(include={"along", *AXES, "direction"}))
+
+
 def parts(study: selection.Stored[SweepSpec], query: DiagramQuery) -> Sequence[Call]:
     """The branches that workers follow."""
+    if (cells := _cells(query)) is not None:
+        return cell_orbits.parts(study, cells)
     wanted = _orbits(study.spec, query)
     return [] if wanted is None else orbits.parts(None, wanted)
 
@@ -114,13 +131,23 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
     if (wanted := _orbits(spec, query)) is not None:
-        found = orbits.compute(None, wanted, *followed)
-        result = result.assign({row.name: found.variables[name] for name, row in _OF_BRANCHES.items()})
         is_own = wanted.model is not None or spec.model == Rigid()
-        result.attrs |= {"branches": found.attrs["model"], "own_branches": is_own}
+        result = _with_branches(result, orbits.compute(None, wanted, *followed), is_own)
+    if (line := _cells(query)) is not None:
+        result = _with_branches(result, cell_orbits.compute(study, line, *followed), is_own=True)
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
     return result
+
+
+def _with_branches(result: xarray.Dataset, found: xarray.Dataset, is_own: bool) -> xarray.Dataset:
+    """A diagram with branches; of several flights of a cycle, with the longest."""
+    x = {name: found.variables[name] for name in _OF_BRANCHES if "branch" in found.variables[name].dims}
+    if "flight" in x["flight_time"].dims:
+        longest = x["flight_time"].values[..., :1]
+        x["flight_time"] = xarray.Variable(("branch", "point"), longest.reshape(longest.shape[:2]))
+    branches = {_OF_BRANCHES[name].name: variable for name, variable in x.items()}
+    return result.assign(branches).assign_attrs(branches=found.attrs["model"], own_branches=is_own)
 
 
 def _window(spec: SweepSpec, query: DiagramQuery) -> range:
@@ -161,9 +188,10 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
     selection.fixed_axes(spec, query)
     selection.check_order(query, "flight_start", "flight_stop")
-    wanted = _orbits(spec, query)
+    wanted, cells = _orbits(spec, query), _cells(query)
     try:
         followed = Estimate({}) if wanted is None else orbits.estimate(None, wanted)
+        followed = followed if cells is None else cell_orbits.estimate(spec, cells)
     except InvalidRequest as error:
         raise InvalidRequest.of("branches", f"are not to be had: {error}") from error
     directions = selection.directions_of(spec, query.direction)

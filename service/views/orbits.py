@@ -1,13 +1,14 @@
 """Branches of the cycles to which the cells of a job settled."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import xarray
 from pydantic import Field
 
 from kernel.cycles.events import Branch, join_events
+from kernel.cycles.follow import RANGE
 from service.errors import InvalidRequest
 from service.views import selection
 from service.views.springs import orbits as of_spring
@@ -28,32 +29,35 @@ from service.views.springs.branches import (
 )
 from service.views.springs.queries import MAX_GAMMA, name_of
 from service.views.variables import coordinate
-from service.views.view import Call, Estimate, FirstDirection, Number, Query, View
+from service.views.view import Call, Direction, Estimate, Number, Query, View
 from worker import store
 from worker.analysis.cycles import MAX_BRANCHES, POINTS, FollowedCycles, Skipped, follow_cells
 from worker.orbits.schema import ARRAYS, KINDS
 from worker.orbits.specification import DIMS, OrbitsSpec
 from worker.spec.contact_models import Rigid, Soft
-from worker.sweep import SweepSpec
+from worker.sweep import AXES, SweepSpec
 
 #: Γ at which followed branches are cut by default.
 GAMMA_MAX: Final = 8.0
 #: Estimated bytes of an answer.
 _MEMORY: Final = 16 * 2**20
+_OF_SKIPPED: Final = Skipped._fields[1:]
 #: The branches of a line without a computed cell.
 _NONE: Final = FollowedCycles((), ())
 
 
 class CellsQuery(Query):
-    """The spring of the job nearest to the given values, and the direction whose cells are continued."""
+    """The line of the job nearest to the given values, and the direction whose cells are continued."""
 
     omega: Number | None = None
     xi: Number | None = None
-    direction: FirstDirection = None
+    direction: Direction = None
     gamma_max: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
         None, description="branches are cut above this Γ; default: 8, of a study of orbits its own"
     )
     doubled: of_spring.WithDoubled = False
+    along: Literal["gamma", "omega", "xi"] = Field("gamma", description="what varies on the branches")
+    gamma: Number | None = None
 
 
 def contact_of(spec: SweepSpec) -> Rigid | Soft:
@@ -68,11 +72,11 @@ def contact_of(spec: SweepSpec) -> Rigid | Soft:
     return spec.model
 
 
-def _direction_and_spring(spec: SweepSpec, query: CellsQuery) -> tuple[str, dict[str, selection.GridValue]]:
-    """Direction and spring of the cells. Raises InvalidRequest."""
+def _line(spec: SweepSpec, query: CellsQuery) -> tuple[tuple[str, ...], dict[str, selection.GridValue]]:
+    """Directions of the cells, and what they have in common. Raises InvalidRequest."""
     contact_of(spec)
-    spring = selection.nearest_values(spec, query, ("omega", "xi"))
-    return selection.directions_of(spec, query.direction)[0], spring
+    fixed = selection.fixed_axes(spec, query)
+    return selection.directions_of(spec, query.direction), fixed
 
 
 def parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call]:
@@ -89,10 +93,15 @@ def parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call]:
         if study.begun:
             raise store.StoreDamaged(str(error)) from error
         return []
-    direction, spring = _direction_and_spring(study.spec, query)
-    indices = (study.spec.directions.index(direction), spring["xi"].index, spring["omega"].index)
-    top = query.gamma_max or GAMMA_MAX
-    return [(follow_cells, study.spec, study.url, *indices, top, study.complete, query.doubled)]
+    spec = study.spec
+    directions, fixed = _line(spec, query)
+    axes = [fixed[axis].index for axis in AXES if axis in fixed]
+    lines = tuple((spec.directions.index(direction), *axes) for direction in directions)
+    values = spec.axis_values(query.along)
+    span = 0.5 * float(values[0]), 2.0 * float(values[-1])
+    if query.along == "gamma":
+        span = RANGE[0], query.gamma_max or GAMMA_MAX
+    return [(follow_cells, spec, study.url, query.along, lines, span, study.complete, query.doubled)]
 
 
 def compute(
@@ -100,24 +109,29 @@ def compute(
 ) -> xarray.Dataset:
     """Branches of the cycles that cells settled to.
 
-    Those along Γ, on their own contact, stable and unstable, with their events. A study of orbits has them
-    stored; of a sweep workers follow them, some seconds at most once compiled. `flight_time` has all flights
-    of a cycle that count, the longest first. `skipped` are the periodic cells from which no branch was
-    followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
+    Those along an axis, on their own contact, stable and unstable, with their events. A study of orbits has
+    them stored, along Γ; of a sweep workers follow them, some seconds at most once compiled. `flight_time`
+    has all flights of a cycle that count, the longest first. `skipped` are the periodic cells from which no
+    branch was followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
     """
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)
-    direction, spring = _direction_and_spring(study.spec, query)
+    directions, fixed = _line(study.spec, query)
     data = with_flights(cycles.branches)
+    varies: dict[str, Any] = {}
+    if query.along != "gamma":
+        data |= padded((query.along,), cycles.branches)
+        varies = {"along": query.along}
     data |= event_columns(join_events(cycles.events))
     on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
     data |= columns("event", {"branch": on})
-    data |= columns("skipped", {name: [getattr(x, name) for x in cycles.skipped] for name in Skipped._fields})
+    skipped = [{query.along: getattr(x.cell, query.along), **x._asdict()} for x in cycles.skipped]
+    data |= columns("skipped", {name: [x[name] for x in skipped] for name in (query.along, *_OF_SKIPPED)})
     coords = of_branches(cycles.branches)
-    coords |= {axis: coordinate(axis, point.value) for axis, point in spring.items()}
-    coords |= {"direction": coordinate("direction", direction)}
+    coords |= {axis: coordinate(axis, point.value) for axis, point in fixed.items() if axis != "gamma"}
+    coords |= {"direction": coordinate("direction", directions[0])} if len(directions) == 1 else {}
     model = name_of(contact_of(study.spec))
-    return closed_form(data, coords, study.complete, model, gamma_max=query.gamma_max or GAMMA_MAX)
+    return closed_form(data, coords, study.complete, model, **varies, gamma_max=query.gamma_max or GAMMA_MAX)
 
 
 def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
@@ -148,12 +162,12 @@ def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> 
 def estimate(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
     """The points of all branches that may be followed. Raises InvalidRequest if the job lacks the line."""
     if isinstance(spec, OrbitsSpec):
-        for name in ("direction", "doubled"):
-            if getattr(query, name):
+        for name in ("direction", "doubled", "gamma", "along"):
+            if getattr(query, name) not in (None, False, "gamma"):
                 raise InvalidRequest.of(name, "is of the cells of a sweep; this study is of kind orbits")
         selection.nearest_values(spec, query, DIMS)
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
-    _direction_and_spring(spec, query)
+    _line(spec, query)
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 
@@ -162,7 +176,7 @@ VIEW: Final = View(
     "orbits", "Branches of a job's cycles", SweepSpec | OrbitsSpec, CellsQuery, compute, estimate,
     variables=(
         *(ROWS[name] for name in (*OF_CELLS, "flight_time", *BRANCH)),
-        *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in Skipped._fields),
+        *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in ("gamma", *_OF_SKIPPED)),
     ),
     rows="flight_time", printed=("points", "event_gamma", "skipped_gamma"), parts=parts, draw=of_spring.draw,
 )  # fmt: skip

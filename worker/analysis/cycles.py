@@ -16,6 +16,7 @@ from kernel.cycles.any_contact import (
     lies_on,
     passing,
     record,
+    turned,
     up_to_shorter,
 )
 from kernel.cycles.changes import doubled
@@ -27,7 +28,8 @@ from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
 from worker.spec.contact_models import Contact
-from worker.sweep import SweepSpec
+from worker.study.layout import CELL_DIMS
+from worker.sweep import AXES, SweepSpec
 from worker.sweep.task import run_cells
 from worker.work import plate_of
 
@@ -67,7 +69,7 @@ _NEAR_CURVE: Final = 1e-2
 class Skipped(NamedTuple):
     """A settled cell from which no branch was followed."""
 
-    gamma: float
+    cell: Cell
     bounces: int
     periods: int
     reason: str
@@ -141,24 +143,25 @@ def _recorded(
 
 
 def follow_cells(
-    spec: SweepSpec, url: str, direction: int, xi: int, omega: int, gamma_max: float, complete: bool,
-    twice: bool,
+    spec: SweepSpec, url: str, along: str, lines: tuple[tuple[int, int, int], ...],
+    span: tuple[float, float], complete: bool, twice: bool,
 ) -> FollowedCycles:  # fmt: skip
-    """The branches of the cycles to which the cells along gamma at these indices settled.
+    """The branches within `span` of the cycles to which the cells of lines `along` an axis settled.
 
-    Each cycle has all flights that count, the longest first. The shortest cycles are followed first. A cell
-    whose cycle lies on a followed branch is left out. Raises a `store.StoreError`.
+    lines: as of `settled_cells`, of one or both directions. Each cycle has all flights that count, the
+    longest first. The shortest cycles are followed first. A cell whose cycle lies on a followed branch is
+    left out. Raises a `store.StoreError`.
     """
     followed: list[tuple[Point, Followed]] = []  # the first cycle of each branch, and the branch
     skipped: list[Skipped] = []
-    cells = settled_cells(spec, url, (direction, xi, omega), complete)
+    cells = [cell for line in lines for cell in settled_cells(spec, url, along, line, complete)]
     for settled in sorted(cells, key=lambda settled: settled.periods):
-        if settled.cell.gamma > gamma_max:
+        if not span[0] <= getattr(settled.cell, along) <= span[1]:
             continue
         if settled.periods > MAX_PERIODS:
             skipped.append(settled.skipped(f"cycles of up to {MAX_PERIODS} plate periods are followed"))
             continue
-        seed = settled.cycle(spec)
+        seed = settled.cycle(spec, along)
         if seed is None:
             skipped.append(settled.skipped("no cycle was found beside its state"))
         elif any(lies_on(seed, line) for _, line in followed):
@@ -166,14 +169,14 @@ def follow_cells(
         elif len(followed) == MAX_BRANCHES:
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
-            new = both_ways(seed, (RANGE[0], gamma_max), POINTS)
+            new = both_ways(seed, span, POINTS)
             # an earlier branch that was cut off is a part of the new one
             followed = [(other, line) for other, line in followed if not lies_on(other, new)]
             followed.append((seed, new))
-    lines = [line for _, line in followed]
+    branches = [branch for _, branch in followed]
     if twice:
-        lines += _doubled(lines, (RANGE[0], gamma_max), POINTS)
-    return _recorded(lines, spec.micro_flight, skipped, flights=True)
+        branches += _doubled(branches, span, POINTS)
+    return _recorded(branches, spec.micro_flight, skipped, flights=True)
 
 
 def cycle_near(
@@ -202,27 +205,33 @@ class Settled(NamedTuple):
     periods: int
     state: Floats | None  # (6,) at its end; None: the cell began at rest, and its state is not stored
 
-    def cycle(self, spec: SweepSpec) -> Point | None:
-        """The cycle near the cell's state, or None. A cell from rest is computed again."""
+    def cycle(self, spec: SweepSpec, along: str = "gamma") -> Point | None:
+        """The cycle near the cell's state on its branch, or None. A cell from rest is computed again."""
         gamma, omega, xi = (np.full(1, value) for value in self.cell)
         state = run_cells(spec, gamma, omega, xi, None).end_state[0] if self.state is None else self.state
-        return cycle_from(plate_of(spec.model, gamma, omega, xi), self.cell, self.periods, state)
+        cycle = cycle_from(plate_of(spec.model, gamma, omega, xi), self.cell, self.periods, state)
+        return cycle if cycle is None or along == "gamma" else turned(cycle, along, self.cell.gamma)
 
     def skipped(self, reason: str) -> Skipped:
-        return Skipped(float(self.cell.gamma), self.bounces, self.periods, reason)
+        return Skipped(self.cell, self.bounces, self.periods, reason)
 
 
-def settled_cells(spec: SweepSpec, url: str, line: tuple[int, int, int], complete: bool) -> list[Settled]:
-    """The periodic cells along gamma at indices (direction, xi, omega). Raises a `store.StoreError`."""
+def settled_cells(
+    spec: SweepSpec, url: str, along: str, line: tuple[int, int, int], complete: bool
+) -> list[Settled]:
+    """The periodic cells along an axis. Raises a `store.StoreError`.
+
+    line: indices of the other CELL_DIMS, in their order: along gamma (direction, xi, omega).
+    """
     names = ["flights", "bounces", "periods", "outcome", *(["end_state"] if spec.ramp_axis else [])]
-    direction, xi, omega = line
-    arrays = store.read_slice(url, names, direction=direction, xi=xi, omega=omega, complete=complete)
-    spring = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
-    gamma = spec.axis_values("gamma").tolist()
+    where: dict[str, Any] = dict(zip((dim for dim in CELL_DIMS if dim != along), line, strict=True))
+    arrays = store.read_slice(url, names, complete=complete, **where)
+    fixed = {axis: float(spec.axis_values(axis)[where[axis]]) for axis in AXES if axis != along}
+    values = spec.axis_values(along).tolist()
     # a cell filled in from another has no flights
     return [
         Settled(
-            Cell(gamma[i], *spring), int(arrays["bounces"][i]), int(arrays["periods"][i]),
+            Cell(**fixed, **{along: values[i]}), int(arrays["bounces"][i]), int(arrays["periods"][i]),
             arrays["end_state"][i] if spec.ramp_axis else None,
         )
         for i in np.flatnonzero((arrays["outcome"] == Outcome.PERIODIC) & (arrays["flights"] > 0))
@@ -239,7 +248,7 @@ def lowest_cells(
     direction, xi, omega = line
     outcome = store.read_slice(url, ["outcome"], direction=direction, xi=xi, omega=omega, complete=complete)
     bouncing = spec.axis_values("gamma")[np.isin(outcome["outcome"], BOUNCING)]
-    cells = settled_cells(spec, url, line, complete)[:LOWEST]
+    cells = settled_cells(spec, url, "gamma", line, complete)[:LOWEST]
     return cells, float(bouncing.min()) if len(bouncing) else math.inf
 
 

@@ -65,7 +65,7 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
         row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
         row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
         row("event_complete", ("event",), "?", "whether all of its kind were counted, with proof"),
-        Array("skipped_gamma", ("skipped",), "<f8", 0, COORDINATES["gamma"]),
+        *(Array(f"skipped_{x}", ("skipped",), "<f8", 0, COORDINATES[x]) for x in ("gamma", "omega", "xi")),
         *_of_cycle("skipped", "cell from which no branch was followed"),
         row("skipped_reason", ("skipped",), "U", "why no branch was followed from the cell"),
     )

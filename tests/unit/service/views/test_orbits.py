@@ -242,8 +242,28 @@ def test_a_diagram_has_the_branches_of_its_contact_or_names_that_of_others(
     path, axes = f"/v1/jobs/{job.id}/diagram", job.plot(branches=True)
     assert f">unstable cycle{plate}<" in client.get(path, params={"branches": True, "format": "svg"}).text
     assert f"unstable cycle{plate}" in axes.get_legend_handles_labels()[1]
-    along = {"along": "xi", "gamma": 1.5}
-    assert "branches: are along gamma" in refused(client, path, 422, branches=True, **along)
+
+
+def test_a_ramp_along_omega_has_the_cycles_of_its_cells(client: TestClient, python_client: Client):
+    ramp = {"protocol": {"kind": "ramp", "axis": "omega", "direction": "both"}, "model": {"kind": "rigid"}}
+    spec = FIGURE_2 | ramp | {"gamma": 0.88, "omega": {"start": 0.54, "stop": 0.63, "num": 10}, "xi": 0.05}
+    job = python_client.submit(spec).wait(progress=False)
+    found = job.orbits(along="omega", progress=False)
+    folds = found.event_omega.values[found.event_kind.values == "fold"]
+    assert len(folds) == 2
+    for omega in folds:  # in closed form, along gamma
+        there = python_client.orbits(float(omega), 0.05)
+        along_gamma = there.event_gamma.values[there.event_kind.values == "fold"]
+        assert np.abs(along_gamma - 0.88).min() < 1e-9
+    doubled = found.branch_periods.values.tolist().index(2)  # settled to on the way down alone
+    assert job.orbits(along="omega", direction="up", progress=False).branch_periods.values.tolist() == [1]
+    drawn = job.diagram(along="omega", branches=True, progress=False)
+    for name in ("omega", "stable"):
+        np.testing.assert_array_equal(drawn[f"branch_{name}"], found[name])
+    points = int(found.points[doubled])
+    longest = found.flight_time.values[doubled, :points, 0]
+    np.testing.assert_array_equal(drawn.branch_flight_time.values[doubled, :points], longest)
+    assert "stable cycle" in job.plot(along="omega", branches=True).get_legend_handles_labels()[1]
 
 
 @for_each(("model", "rule"), [
@@ -277,9 +297,10 @@ def test_a_study_of_orbits_has_those_of_its_springs(python_client: Client):
     xarray.testing.assert_identical(stored[shared].drop_attrs(), fresh[shared].drop_attrs())
     assert float(job.orbits(0.6, gamma_max=1.0, progress=False).gamma.max()) <= 1.0
     assert job.plot(omega=0.6, ax=Figure().subplots()).get_ylabel() == "flight time (rad)"
-    assert "direction: is of the cells of a sweep" in refused(
-        job._transport._http, f"/v1/jobs/{job.id}/orbits", 422, omega=0.6, direction="up"
-    )
+    for name, value in (("direction", "up"), ("along", "xi")):
+        assert f"{name}: is of the cells of a sweep" in refused(
+            job._transport._http, f"/v1/jobs/{job.id}/orbits", 422, omega=0.6, **{name: value}
+        )
 
 
 # Predictions beside the thresholds of a sweep
