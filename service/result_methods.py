@@ -166,7 +166,7 @@ class ResultMethods(Methods):
         self,
         omega: float | None = None,
         xi: float | None = None,
-        direction: Annotated[str | None, "rest, up or down; default: all that the sweep has, a dimension if two"] = None,
+        direction: Annotated[str | None, "rest, up or down; default: all of the sweep"] = None,
         gamma_max: Annotated[float | None, "branches are cut above this Γ; default: 8, of a study of orbits its own"] = None,
         doubled: Annotated[bool, "branches of twice the period that begin at flips as well"] = False,
         along: Annotated[Literal["gamma", "omega", "xi"], "what varies on the branches"] = "gamma",

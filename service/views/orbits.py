@@ -29,7 +29,7 @@ from service.views.springs.branches import (
 )
 from service.views.springs.queries import MAX_GAMMA, name_of
 from service.views.variables import coordinate
-from service.views.view import Call, Direction, Estimate, Number, Query, View
+from service.views.view import Call, Estimate, Number, Query, View
 from worker import store
 from worker.analysis.cycles import MAX_BRANCHES, POINTS, FollowedCycles, Skipped, follow_cells
 from worker.orbits.schema import ARRAYS, KINDS
@@ -51,7 +51,7 @@ class CellsQuery(Query):
 
     omega: Number | None = None
     xi: Number | None = None
-    direction: Direction = None
+    direction: Annotated[str | None, Field(description="rest, up or down; default: all of the sweep")] = None
     gamma_max: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
         None, description="branches are cut above this Γ; default: 8, of a study of orbits its own"
     )
