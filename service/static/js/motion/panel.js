@@ -18,7 +18,13 @@ const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which a note explains the delay of another motion
 const MAX_LISTED = 8; // flights, or numbers of a variable
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
-const TITLES = { cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }; // by the kind of start
+/** Of each kind of start: whose motion it is, and in words where it begins. */
+const STARTS = {
+  cycle: ["a cycle", (start, job) => (hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form")],
+  drop: ["a drop", ({ height, phase }) => `let go ${number(height)} above the plate at phase ${number(phase)}`],
+  contact: ["a start", ({ elongation, velocity }) => `in contact, elongation ${number(elongation)}, velocity × Ω ${number(velocity)}`],
+  attractor: ["an attractor", (start) => `on the attractor that is number ${start.number} by the drops that reach it`],
+};
 
 export class TrajectoryPanel {
   trajectory = null; // while one is shown
@@ -57,8 +63,9 @@ export class TrajectoryPanel {
     this.root.hidden = false;
     const start = startOf(cell.direction);
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
-    this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
-    this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
+    const [moving, textOf] = STARTS[start?.kind] ?? ["a cell", () => (cell.direction === "rest" ? "from rest" : `ramp ${cell.direction}`)];
+    this.title.textContent = `Trajectory of ${moving}`;
+    this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${textOf(start, job)}`;
     const { model = { kind: "rigid" } } = job.spec; // of cycles in closed form
     const { model: contact, adhesive = true, ...parameters } = contactQuery(model);
     const isThere = job.id && adhesive && (contact || isIdeal(model)) && AXES.every((axis) => clamp(cell[axis], ...EXPLORED[axis]) === cell[axis]);
@@ -185,15 +192,6 @@ function valueText({ data, attrs: { units = "1", flag_values: codes, flag_meanin
   });
   const unit = units === "1" ? "" : ` ${units}`;
   return (texts.length && `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${unit}`) || "–";
-}
-
-function startText(direction, job) {
-  const start = startOf(direction);
-  if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
-  if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor") return `on the attractor that is number ${start.number} by the drops that reach it`;
-  if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
-  return direction === "rest" ? "from rest" : `ramp ${direction}`;
 }
 
 /** A trajectory from its Dataset: lists, with NaN after its end; its phases since the first sample, as those of a drop begin at the plate's phase. */

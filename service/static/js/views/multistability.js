@@ -1,9 +1,8 @@
 // Attractors over a grid: the flights of all that coexist along Γ, and the map of where several do.
 
 import { partsOf, query } from "../lib/api.js";
-import { checkBox, fileName, h } from "../lib/dom.js";
+import { checkBox, h } from "../lib/dom.js";
 import { number, plural, share } from "../lib/format.js";
-import { PagedTable } from "../lib/table.js";
 import { TWO_PI, axisColumn, axisText, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, numberedColour, theme } from "../plot/colours.js";
 import { rgba32, verticalLine } from "../plot/drawing.js";
@@ -68,9 +67,9 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => (this.isLoaded ? [[...eventColumns(this.grid.gamma), ...this.common(this.spring)], partsOf(this.plane, "event")] : [[], []]), () => fileName(this.job, "events", "csv"), true);
+    const events = () => [[...eventColumns(this.grid.gamma), ...this.common(this.spring)], partsOf(this.plane, "event")];
     super(root, view, {
-      below: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
+      events: ["Births, ends, changes of mode", events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
   }

@@ -115,14 +115,15 @@ export class PlotView {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view with its `controls`, and start loading; the column beside the plot has `shown`: legend, options, notes, and ends with `below`. */
-  build(root, { controls, label, hint, shown = [], below = [] }) {
-    this.tables = below.filter((table) => table instanceof PagedTable);
+  /** Build the view with its `controls`, and start loading; the column beside the plot has `shown`: legend, options, notes,
+   * and ends with `below`, and a table of `events`: its label and a function that reads it (see PagedTable). */
+  build(root, { controls, label, hint, shown = [], below = [], events }) {
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
-    const content = () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]);
-    this.table = new PagedTable("Table of what is shown", content, () => fileName(this.job, `${this.name}-table`, "csv"));
+    const tableOf = (title, read, nameOf, open) => new PagedTable(title, () => (this.isLoaded ? read() : [[], []]), () => fileName(this.job, nameOf(), "csv"), open);
+    this.table = tableOf("Table of what is shown", () => [this.columnsOfTable(), this.cellsShown()], () => `${this.name}-table`);
+    this.events = events && tableOf(...events, () => "events", true);
     const line = h("div", { className: "controls" }, controls);
     this.bar?.replaceChildren(line);
     const figure = h("figure", {});
@@ -132,7 +133,7 @@ export class PlotView {
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
       this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.#downloads(), actions(this.unzoom, this.logButtons, compute),
-      ...shown, this.measured?.elements, ...below.map((item) => item.element ?? item), this.table.element,
+      ...shown, this.measured?.elements, ...below, this.events?.element, this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", {}, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? { cursor: (ctx, box) => this.drawCursor(ctx, box), ...this.content() } : null) });
@@ -265,7 +266,7 @@ export class PlotView {
     this.measured?.update();
     this.plot.draw();
     this.plot.element.dataset.shown = parametersOf(this.results[0]);
-    this.tables.forEach((table) => table.update());
+    this.events?.update();
     this.#updateTable();
   }
 
