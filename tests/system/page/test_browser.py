@@ -166,7 +166,7 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
         page.get_by_text("The time must be such as 90s, 5m or 1h.").wait_for()
         page.get_by_label("Time", exact=True).fill("5m")
         page.get_by_role("button", name="Compare settings").click()
-        page.locator("tr.recommended").wait_for()
+        page.locator("tr .recommended").wait_for()
         coarsest = page.locator("tbody tr").last
         cells = coarsest.locator("td").nth(1).inner_text()
         assert 1 <= int(cells) < 120
@@ -503,14 +503,11 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         wait_for(lambda: picture(page) != whole)
         page.mouse.dblclick(box["x"] + 300, box["y"] + 100)
         page.wait_for_function("() => !location.hash.includes('x0=')")
-        page.get_by_label("down", exact=True).uncheck()
+        page.get_by_label("Ramp").select_option("up")
         page.wait_for_url(re.compile("show=up"))
         page.get_by_label("Axis of the diagram").select_option("omega")
         wait_shown(page, along="omega")
         page.locator(".slider").first.filter(has_text="Γ =").wait_for()
-        page.get_by_label("up", exact=True).uncheck()
-        page.get_by_label("Download SVG").click()
-        page.locator(".downloads", has_text="No ramp direction is selected").wait_for()
 
 
 def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str, loop: str, tmp_path: Path):
@@ -520,7 +517,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
     with opened(browser, shown, offline=True, viewport={"width": 1280, "height": 800}) as page:
         wait_shown(page, xi=0.05)
         screenshot(page, "shared", whole=False)
-        page.get_by_label("down", exact=True).uncheck()
+        page.get_by_label("Ramp").select_option("up")
         page.get_by_label("Value of Ω").fill("0.6")
         page.keyboard.press("Enter")
         wait_shown(page, omega=0.6)

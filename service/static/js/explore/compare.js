@@ -28,8 +28,8 @@ export class Compare {
     this.problem = problemLine();
     this.layouts = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
-    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Comparison")], line: [this.legend], tabs: this.layouts, problem: this.problem.element });
-    [this.panel, this.controls] = [frame.panel, frame.controls];
+    const bar = [h("h1", { tabindex: "-1" }, "Comparison")];
+    Object.assign(this, buildFrame(root, { bar, line: [this.legend], tabs: this.layouts, problem: this.problem.element }));
     this.refresh();
   }
 
@@ -70,7 +70,7 @@ export class Compare {
     const hasChanged = this.sources.some(({ job }, i) => job.progress.cells_done !== jobs[i].progress.cells_done || job.state !== jobs[i].state);
     this.sources.forEach(({ job }, i) => Object.assign(job, jobs[i])); // the views have them too
     this.#showStates();
-    if (hasChanged || redraw) this.views.forEach((view) => view.update(view.job));
+    if (hasChanged || redraw) this.views.forEach((view) => view.update());
   }
 
   #showStates() {

@@ -3,7 +3,7 @@
 import { query } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { axisText, modeText, nearestIndex } from "../lib/physics.js";
-import { modeClasses, modeColour } from "../plot/colours.js";
+import { modeClasses } from "../plot/colours.js";
 import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
@@ -19,7 +19,7 @@ export class Difference extends PlaneView {
     super(view);
     this.sentence = h("p", { className: "sentence", role: "status" });
     this.legend = new ClassLegend(this, "Modes of the second sweep");
-    this.build(root, { controls: h("div", { className: "controls" }, sliders(this, ["xi"]), this.sentence), label: "Where the modes differ", shown: [this.legend.element], hint: HINT });
+    this.build(root, { controls: [sliders(this, ["xi"]), this.sentence], label: "Where the modes differ", shown: [this.legend.element], hint: HINT });
   }
 
   paths() {
@@ -44,18 +44,12 @@ export class Difference extends PlaneView {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: this.title,
       layers: [(ctx, box) => this.#paint(ctx, box)],
-      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 
   #paint(ctx, box) {
-    const colours = new Map(this.classes.present.map(({ id }) => [id, rgba32(modeColour(id, box.theme.dark))]));
-    const same = rgba32(box.theme.surface);
-    const { hidden } = this.legend;
-    this.drawCells(ctx, box, (cell) => {
-      const id = this.classes.ofCell[cell];
-      return this.differs[cell] === OTHER_MODE && !hidden.has(id) ? colours.get(id) : same;
-    });
+    const [colours, same] = [this.legend.colours(box.theme), rgba32(box.theme.surface)];
+    this.drawCells(ctx, box, (cell) => (this.differs[cell] === OTHER_MODE ? colours[this.classes.ofCell[cell]] : same));
   }
 
   isHidden(cell) {

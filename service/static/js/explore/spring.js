@@ -34,14 +34,20 @@ function contactOf() {
 }
 
 /** The cycles of the spring, and the flights of the motion shown. */
-class SpringCycles extends Cycles {
+export class Explore extends Cycles {
   isContinuous = true;
 
-  /** `words`: an element for the thresholds; `motion`: the panel of the motion. */
-  constructor(root, view) {
-    super(root, { sources: [SPRING], onSelect: (cell) => setQuery(cellQuery(cell)), ...view }, HINT);
-    queryChanges.addEventListener("change", () => this.describeThresholds(), { signal: this.signal });
-    this.describeThresholds();
+  constructor(root, address, signal) {
+    document.title = "Explore · Bouncing spring";
+    setQuery({ ...START, ...currentQuery() });
+    const sweep = h("a", {}, "New sweep around this spring");
+    const words = h("p", { className: "summary closed", role: "status" }); // on the thresholds
+    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), sweep], line: [words] });
+    super(frame.panel, { sources: [SPRING], signal, bar: frame.controls, onSelect: (cell) => setQuery(cellQuery(cell)) }, HINT);
+    Object.assign(this, { sweep, words, motion: new TrajectoryPanel(frame.trajectorySection, signal) });
+    this.move = latest(() => this.#move()); // not aborted: the service computes it anyway
+    queryChanges.addEventListener("change", () => this.#follow(), { signal });
+    this.#follow();
   }
 
   controls() {
@@ -122,39 +128,25 @@ class SpringCycles extends Cycles {
   cellOf(cell) {
     return super.cellOf(cell) ?? { ...this.place, gamma: cell.gamma, direction: "rest" };
   }
-}
-
-export class Explore {
-  constructor(root, address, signal) {
-    document.title = "Explore · Bouncing spring";
-    setQuery({ ...START, ...currentQuery() });
-    this.sweep = h("a", {}, "New sweep around this spring");
-    const words = h("p", { className: "summary closed", role: "status" });
-    const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), this.sweep], line: [words] });
-    this.motion = new TrajectoryPanel(frame.trajectorySection, signal);
-    this.view = new SpringCycles(frame.panel, { signal, bar: frame.controls, words, motion: this.motion });
-    const move = latest(() => this.#move()); // not aborted: the service computes it anyway
-    this.load = () => {
-      this.sweep.href = link(["new"], { ...this.view.place, gamma: null, ...contactQuery(contactOf()) });
-      move();
-    };
-    queryChanges.addEventListener("change", () => this.load(), { signal: this.view.signal });
-    this.load();
-  }
 
   show() {
-    this.view.showChoices();
+    this.showChoices();
     queryChanges.dispatchEvent(new Event("change"));
   }
 
   refresh() {
-    this.view.load();
     this.load();
+    this.#follow();
+  }
+
+  #follow() {
+    this.sweep.href = link(["new"], { ...this.place, gamma: null, ...contactQuery(contactOf()) });
+    this.describeThresholds();
+    this.move();
   }
 
   async #move() {
-    const { place, direction } = this.view;
-    await this.motion.show({ ...SPRING.job, spec: { model: contactOf() } }, { ...place, direction });
-    this.view.plot.redraw();
+    await this.motion.show({ ...SPRING.job, spec: { model: contactOf() } }, { ...this.place, direction: this.direction });
+    this.plot.redraw();
   }
 }

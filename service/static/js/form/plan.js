@@ -61,8 +61,8 @@ export class Plan {
   #rows(rows) {
     const useButton = ({ effort, grid, spec }) => button("Use", () => this.use(JSON.parse(spec)), { "aria-label": `Use ${effort}, ${grid}` });
     return table("Settings", ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""], rows.map((row) => [
-      h("span", {}, row.effort, Boolean(row.recommended) && h("small", {}, " recommended")),
+      h("span", {}, row.effort, Boolean(row.recommended) && h("small", { className: "recommended" }, " recommended")),
       row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)), useButton(row),
-    ]), (i) => (rows[i].recommended ? "recommended" : undefined));
+    ]));
   }
 }

@@ -26,17 +26,22 @@ export function takeToken() {
 const RETRY_S = 1; // without a Retry-After
 let waiting = 0; // requests
 
-// The response to one request. While the service is too busy (429) for a GET, or for what `waits`, it is repeated until
-// `timeout`. Throws a problem (see problemOf), Unreachable, or an AbortError if `signal` aborts.
+// The response to one request. A GET, or what `waits`, is repeated: while workers compute its answer (202), and until
+// `timeout` while the service is too busy (429). Throws a problem (see problemOf), Unreachable, or an AbortError if
+// `signal` aborts.
 export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } = {}) {
-  const deadline = performance.now() + timeout;
+  const isRepeated = waits ?? (options.method ?? "GET") === "GET";
+  let deadline = performance.now() + timeout;
   for (;;) {
     const response = await send(path, options, deadline - performance.now());
-    if (response.ok) return response;
     const pause = 1000 * Math.max(Number(response.headers.get("Retry-After")) || RETRY_S, 0.1);
     const left = deadline - performance.now();
-    if (response.status !== 429 || !(waits ?? (options.method ?? "GET") === "GET") || left <= 0) throw await problemOf(response);
-    await sleepWhileBusy(Math.min(pause, left), options.signal);
+    if (response.status === 202 && isRepeated) {
+      await sleep(pause, options.signal);
+      deadline = performance.now() + timeout;
+    } else if (response.ok) return response;
+    else if (response.status === 429 && isRepeated && left > 0) await sleepWhileBusy(Math.min(pause, left), options.signal);
+    else throw await problemOf(response);
   }
 }
 
@@ -94,26 +99,14 @@ export async function requestJson(path, options) {
   return response.status === 204 ? null : answered(response.json(), options?.signal);
 }
 
-const POLL_MS = 1000;
-
-/** The response to a request that workers may compute first: it is repeated while the service answers 202. */
-async function whenComputed(path, options = {}) {
-  for (;;) {
-    const response = await request(path, options);
-    if (response.status !== 202) return response;
-    await sleep(POLL_MS, options.signal);
-  }
-}
-
 const ARRAY_TYPES = {
   float64: Float64Array, float32: Float32Array, int64: BigInt64Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };
 
 /** A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
- * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list. What workers
- * compute first is waited for. */
+ * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list. */
 export async function requestDataset(path, options) {
-  const response = await whenComputed(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options);
+  const response = await request(`${path}${path.includes("?") ? "&" : "?"}format=bin`, options);
   const buffer = await answered(response.arrayBuffer(), options?.signal);
   const end = new Uint8Array(buffer).indexOf(10); // the header is one line of JSON
   const { coords, data_vars, ...result } = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, end)));
@@ -134,7 +127,7 @@ export function partsOf({ attrs, dims, ...variables }, dim) {
   return Array.from({ length: dims[dim] }, (_, i) => Object.fromEntries(divided.map(([name, variable]) => [name, part(variable, i)])));
 }
 
-export const requestBlob = async (path, options) => answered((await whenComputed(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS })).blob());
+export const requestBlob = async (path, options) => answered((await request(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS })).blob());
 
 /** A query string; null, undefined and empty values are left out. */
 export function query(values) {

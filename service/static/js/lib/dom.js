@@ -1,6 +1,6 @@
-// Building elements, errors, screen-reader announcements, and limiting how often a function runs.
+// Building elements, errors, downloads, screen-reader announcements, and limiting how often a function runs.
 
-import { isHandledElsewhere } from "./api.js";
+import { isHandledElsewhere, requestBlob } from "./api.js";
 
 const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected", "style"]);
 
@@ -17,10 +17,13 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
-/** A choice among `options`, [[value, text], …], with a label. */
+/** A choice among `options`, [[value, text], …], the `control` of the label that this is. */
 export const choice = (label, options, selected, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
   h("select", { onchange: (event) => onChange(event.target.value), ...attributes },
     options.map(([value, text]) => h("option", { value, selected: value === selected }, text))));
+
+/** A check box, the `control` of the label that this is. */
+export const checkBox = (text, attributes) => h("label", { className: "option" }, h("input", { type: "checkbox", ...attributes }), ` ${text}`);
 
 /** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
 export function problemLine() {
@@ -63,6 +66,33 @@ export const copyButton = (what, text) => button("Copy", async ({ currentTarget 
   announce(`${currentTarget.textContent}.`);
   setTimeout(() => { currentTarget.textContent = "Copy"; }, COPIED_MS);
 }, { "aria-label": `Copy ${what}` });
+
+/** A row of download buttons: `files` is [[label, () => file name, () => Blob or promise of one], …]; a note on them. */
+export function downloads(files, note) {
+  const status = h("span", { className: "note", role: "status" });
+  const failed = (error) => { if (!isHandledElsewhere(error)) status.textContent = error.message; };
+  const button = ([label, name, make]) => workButton(label, async () => {
+    status.textContent = "";
+    save(await make(), name());
+  }, failed, { className: "quiet", "aria-label": `Download ${label}` });
+  return h("div", { className: "downloads", role: "group", "aria-label": "Downloads" },
+    h("span", {}, "Download"), files.map(button), note, status);
+}
+
+/** Downloads of a result in formats of the service: `path(format)` is its address with a query, `content` a part of the files' names. */
+export const resultFiles = (job, content, formats, path, options) => formats.map(([label, format]) =>
+  [label, () => fileName(job, content(), format), () => requestBlob(`${path(format)}&format=${format}`, options)]);
+
+export function fileName(job, content, extension) {
+  const name = job.name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").slice(0, 80).replace(/^-|-$/g, "");
+  return `${name || job.id.slice(0, 8)}-${content}.${extension}`;
+}
+
+function save(blob, name) {
+  const address = URL.createObjectURL(blob);
+  h("a", { href: address, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60_000);
+}
 
 export function announce(text) {
   document.getElementById("status").textContent = text;

@@ -1,16 +1,15 @@
 // Tables: plain ones, and long ones in pages, which can be copied and saved.
 
-import { button, copyButton, h } from "./dom.js";
-import { downloads } from "./downloads.js";
+import { button, copyButton, downloads, h } from "./dom.js";
 import { count, plain } from "./format.js";
 
 const PAGE = 25; // rows
 
-/** A table in a region that scrolls. The first cell of a row names it; cells are texts or nodes, `rowClass(i)` a row's class. */
-export function table(label, titles, rows, rowClass = () => undefined) {
+/** A table in a region that scrolls. The first cell of a row names it; cells are texts or nodes. */
+export function table(label, titles, rows) {
   const head = titles && h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, title))));
   const cells = ([first, ...others]) => [h("th", { scope: "row" }, first), ...others.map((cell) => h("td", {}, cell))];
-  const body = h("tbody", {}, rows.map((row, i) => h("tr", { className: rowClass(i) }, cells(row))));
+  const body = h("tbody", {}, rows.map((row) => h("tr", {}, cells(row))));
   return h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": label }, h("table", {}, head, body));
 }
 

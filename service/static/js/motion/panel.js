@@ -2,8 +2,7 @@
 
 import { cellQuery, link } from "../lib/address.js";
 import { isHandledElsewhere, query, requestDataset } from "../lib/api.js";
-import { button, h, problemLine, workButton } from "../lib/dom.js";
-import { downloads, fileName, resultFiles } from "../lib/downloads.js";
+import { button, downloads, fileName, h, problemLine, resultFiles, workButton } from "../lib/dom.js";
 import { number, plural } from "../lib/format.js";
 import { AXES, EXPLORED, axisText, axisValues, clamp, contactQuery, cycleText, hasOwnCycles, isIdeal, startOf } from "../lib/physics.js";
 import { table } from "../lib/table.js";
@@ -19,15 +18,36 @@ const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which a note explains the delay of another motion
 const MAX_LISTED = 8; // flights, or numbers of a variable
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
-const TITLES = { cycle: "a cycle", drop: "a drop", contact: "a start", attractor: "an attractor" }; // by the kind of start
+/** Of each kind of start: whose motion it is, and in words where it begins. */
+const STARTS = {
+  cycle: ["a cycle", (start, job) => (hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form")],
+  drop: ["a drop", ({ height, phase }) => `let go ${number(height)} above the plate at phase ${number(phase)}`],
+  contact: ["a start", ({ elongation, velocity }) => `in contact, elongation ${number(elongation)}, velocity × Ω ${number(velocity)}`],
+  attractor: ["an attractor", (start) => `on the attractor that is number ${start.number} by the drops that reach it`],
+};
 
 export class TrajectoryPanel {
-  player = null; // while something is shown
-  trajectory = null;
+  trajectory = null; // while one is shown
 
   /** Shown in `root`, until `signal` aborts; without `onClose` it cannot be closed. */
   constructor(root, signal, onClose = null) {
-    Object.assign(this, { root, signal, onClose });
+    Object.assign(this, { root, signal });
+    this.about = h("p", { className: "note" });
+    this.title = h("h2", { tabindex: "-1" });
+    this.explore = h("a", {}, "Explore this spring");
+    this.values = h("details", { hidden: true });
+    this.files = h("div", {});
+    this.proof = h("div", { hidden: true, role: "status" });
+    this.note = h("p", { className: "note", role: "status", hidden: true }, "Computing the trajectory … The first one of a contact model compiles its kernel.");
+    this.problem = problemLine();
+    this.readout = h("p", { className: "readout", role: "status" });
+    [this.player, this.portraits] = [new Player(signal), new Portraits(signal)];
+    root.replaceChildren(
+      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.proof, this.files, this.values),
+      h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
+      this.portraits.element,
+      ...(onClose ? [button("×", onClose, { className: "quiet close", "aria-label": "Close", title: "Close" })] : []));
+    this.#hideMotion(true);
     signal.addEventListener("abort", () => this.hide());
   }
 
@@ -40,11 +60,12 @@ export class TrajectoryPanel {
     this.request?.abort();
     this.request = new AbortController();
     const { signal } = this.request;
-    if (!this.player) this.#build();
+    this.root.hidden = false;
     const start = startOf(cell.direction);
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
-    this.title.textContent = `Trajectory of ${TITLES[start?.kind] ?? "a cell"}`;
-    this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${startText(cell.direction, job)}`;
+    const [moving, textOf] = STARTS[start?.kind] ?? ["a cell", () => (cell.direction === "rest" ? "from rest" : `ramp ${cell.direction}`)];
+    this.title.textContent = `Trajectory of ${moving}`;
+    this.about.textContent = `Γ = ${gamma}, Ω = ${omega}, ξ = ${xi}, ${textOf(start, job)}`;
     const { model = { kind: "rigid" } } = job.spec; // of cycles in closed form
     const { model: contact, adhesive = true, ...parameters } = contactQuery(model);
     const isThere = job.id && adhesive && (contact || isIdeal(model)) && AXES.every((axis) => clamp(cell[axis], ...EXPLORED[axis]) === cell[axis]);
@@ -78,28 +99,6 @@ export class TrajectoryPanel {
     if (!options.body && (start || cycle)) this.#offerProof(path, signal);
   }
 
-  #build() {
-    this.about = h("p", { className: "note" });
-    this.title = h("h2", { tabindex: "-1" });
-    this.explore = h("a", {}, "Explore this spring");
-    this.values = h("details", { hidden: true });
-    this.files = h("div", {});
-    this.proof = h("div", { hidden: true, role: "status" });
-    this.note = h("p", { className: "note", role: "status", hidden: true }, "Computing the trajectory … The first one of a contact model compiles its kernel.");
-    this.problem = problemLine();
-    this.readout = h("p", { className: "readout", role: "status" });
-    this.closing = new AbortController();
-    this.player = new Player(this.closing.signal);
-    this.portraits = new Portraits(this.closing.signal);
-    const close = button("×", this.onClose, { className: "quiet close", "aria-label": "Close", title: "Close" });
-    this.root.hidden = false;
-    this.root.replaceChildren(
-      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.proof, this.files, this.values),
-      h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
-      this.portraits.element,
-      ...(this.onClose ? [close] : []));
-  }
-
   /** Play a motion; a note tells that it is computed, beside another one after SLOW_MS. */
   async #load(path, options) {
     clearTimeout(this.timer);
@@ -113,15 +112,19 @@ export class TrajectoryPanel {
         this.note.hidden = true;
       }
     }
+    this.#showError(null);
     this.player.show(this.trajectory);
     this.readout.textContent = describeMotion(this.trajectory);
     this.portraits.show({ trajectory: this.trajectory, flights: null });
-    this.#showError(null);
   }
 
   #showError(error) {
     this.problem.show(error);
-    for (const element of [this.player.element, this.portraits.element, this.readout]) element.hidden = Boolean(error);
+    this.#hideMotion(Boolean(error));
+  }
+
+  #hideMotion(isHidden) {
+    for (const element of [this.player.element, this.portraits.element, this.readout]) element.hidden = isHidden;
   }
 
   /** The return map, of a longer motion, which the rest does not need. */
@@ -138,7 +141,7 @@ export class TrajectoryPanel {
   /** A button that has the cell's cycle proven, and the answer in its place. */
   #offerProof(path, signal) {
     const prove = async () => {
-      const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal, waits: true });
+      const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal });
       const flights = times.data.map(([low, high]) => h("li", {}, `${low} to ${high} rad`));
       const listed = flights.length > MAX_LISTED ? `The first ${MAX_LISTED} of ${flights.length} flights` : "Flights";
       const about = flights.length ? ` ${listed}:` : "";
@@ -152,10 +155,12 @@ export class TrajectoryPanel {
   hide() {
     this.request?.abort();
     clearTimeout(this.timer);
-    this.closing?.abort();
-    Object.assign(this, { shown: null, player: null, trajectory: null });
+    this.player.stop();
+    this.problem.show(null);
+    this.files.replaceChildren();
+    this.#hideMotion(true);
+    Object.assign(this, { shown: null, trajectory: null });
     this.root.hidden = true;
-    this.root.replaceChildren();
   }
 
   /** All variables that the diagram has of the cell; returns the plate periods of its cycle, 0 if it has none. */
@@ -175,7 +180,7 @@ function requestOf(job, { direction, ...cell }, length) {
     return [`/v1/jobs/${job.id}/trajectory?${query({ ...cell, ...(start ? { attractor: start.number } : { direction }), ...length })}`, {}];
   }
   const model = start?.kind === "cycle" && !hasOwnCycles(job) ? { kind: "rigid" } : job.spec.model;
-  return ["/v1/trajectories?", { method: "POST", body: { ...cell, model, ...(start && { start }), ...length } }];
+  return ["/v1/trajectories?", { method: "POST", body: { ...cell, model, ...(start && { start }), ...length }, waits: true }];
 }
 
 /** The value of a variable of one cell, or its numbers, with units; of codes their meaning. */
@@ -189,18 +194,10 @@ function valueText({ data, attrs: { units = "1", flag_values: codes, flag_meanin
   return (texts.length && `${texts.slice(0, MAX_LISTED).join(", ")}${texts.length > MAX_LISTED ? " …" : ""}${unit}`) || "–";
 }
 
-function startText(direction, job) {
-  const start = startOf(direction);
-  if (start?.kind === "cycle") return hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form";
-  if (start?.kind === "drop") return `let go ${number(start.height)} above the plate at phase ${number(start.phase)}`;
-  if (start?.kind === "attractor") return `on the attractor that is number ${start.number} by the drops that reach it`;
-  if (start) return `in contact, elongation ${number(start.elongation)}, velocity × Ω ${number(start.velocity)}`;
-  return direction === "rest" ? "from rest" : `ramp ${direction}`;
-}
-
 /** A trajectory from its Dataset: lists, with NaN after its end; its phases since the first sample, as those of a drop begin at the plate's phase. */
 async function requestMotion(path, options) {
-  const { attrs, ...variables } = await requestDataset(path, { ...options, waits: true, timeout: TIMEOUT_MS });
+  const { attrs, ...variables } = await requestDataset(path, { ...options, timeout: TIMEOUT_MS });
+  options.signal.throwIfAborted(); // closed meanwhile
   const list = (name) => Array.from(variables[name].data);
   const named = (names, value) => Object.fromEntries(names.map((name) => [name, value(name)]));
   const ofCycle = ["bounces", "periods", "flight_time", "stable", "multipliers"];

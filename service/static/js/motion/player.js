@@ -22,7 +22,6 @@ export class Player {
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(signal) {
-    this.signal = signal; // aborted when the player is closed
     this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
     const figure = h("figure", { className: "heights" });
     this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
@@ -58,17 +57,20 @@ export class Player {
   play(on) {
     this.playing = on;
     this.button.textContent = on ? "Pause" : "Play";
-    cancelAnimationFrame(this.frame);
+    this.stop();
     if (!on) return;
     let previous = performance.now();
     const step = (now) => {
-      if (this.signal.aborted) return;
       this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (this.periods * TWO_PI);
       previous = now;
       this.#draw();
       this.frame = requestAnimationFrame(step);
     };
     this.frame = requestAnimationFrame(step);
+  }
+
+  stop() {
+    cancelAnimationFrame(this.frame);
   }
 
   #draw() {

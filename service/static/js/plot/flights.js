@@ -1,13 +1,27 @@
 // The flight times of lines of cells on a plot: single dots while there are few, a density of flights otherwise.
 
+import { exact } from "../lib/format.js";
+import { digitsTo } from "../lib/physics.js";
 import { bitmap, circle, disc, rgba32, verticalLine } from "./drawing.js";
 
 const MAX_DOTS = 4000; // flights in view
 const FAINTEST = 0.5; // opacity of a single flight, as in the service's pictures
+const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
+const MAX_LISTED = 6; // flights listed one by one
 const SATURATION = 24; // flights on one pixel that are drawn fully opaque
 
 /** The flights of a cell of a line; NaN stands for those that do not count. */
 export const flightsIn = ({ flight_time: times, keep }, cell) => times.subarray(cell * keep, (cell + 1) * keep).filter(Number.isFinite);
+
+/** The distinct times among those of a cell's flights, shortest first. */
+export const distinctFlights = (times) => Array.from(Float64Array.from(times).sort()).filter((time, i, all) => i === 0 || time - all[i - 1] > SAME_FLIGHT);
+
+/** The flights of a cell in a table: distinct ones, the first few where it is not `whole`, as sharply as `bound` says. */
+export function flightsText(times, whole, bound) {
+  const distinct = distinctFlights(times);
+  const listed = distinct.slice(0, whole ? Infinity : MAX_LISTED).map((time) => exact(time, whole, digitsTo(time, bound))).join(" ");
+  return listed + (!whole && distinct.length > MAX_LISTED ? " …" : "");
+}
 
 /** Draw lines {values, flight_time, keep} over each other, each in `colourOf(line)`. All but the last are drawn with
  * larger dots, which remain visible where two directions agree. */

@@ -2,12 +2,12 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { query, requestJson } from "../lib/api.js";
-import { announce, button, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, button, checkBox, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
-const MAX_PINNED = 100; // shown above the first page; of more the rest is in the pages
+const MAX_PINNED = 100; // shown above the first page too
 const POLL_MS = 700; // while a sweep is being computed
 const IDLE_POLL_MS = 5000;
 const ERROR_MS = 8000; // how long an error is shown
@@ -21,8 +21,6 @@ const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "
 export class SweepList {
   rows = new Map(); // job id → row
   selected = new Set(); // ids, in the order in which they were selected
-  hasManyPinned = false;
-  cursors = [null]; // of the pages up to the one that is shown
   jobs = []; // of this page
 
   constructor(root, address, signal) {
@@ -34,12 +32,13 @@ export class SweepList {
     this.filters = h("form", { className: "controls", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
       h("label", { className: "option" }, "Find ", search),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));
-    this.all = h("input", { type: "checkbox", onchange: () => this.#select(this.jobs, this.all.checked) });
+    const all = checkBox("Select all shown", { onchange: () => this.#select(this.jobs, this.all.checked) });
+    this.all = all.control;
     this.chosen = h("span", { className: "note", role: "status" });
     this.compare = button("Compare", () => navigate(["compare"], { jobs: [...this.selected].join() }));
     this.remove = button("Delete", () => this.#delete());
     this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
-    this.selection = h("div", { className: "selection" }, h("label", { className: "option" }, this.all, " Select all shown"), this.chosen, this.bulk);
+    this.selection = h("div", { className: "selection" }, all, this.chosen, this.bulk);
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
     this.empty = h("p", { className: "note", hidden: true });
     this.problem = problemLine();
@@ -58,8 +57,12 @@ export class SweepList {
   show() {
     const query = currentQuery();
     for (const control of this.filters.elements) control.value = query[control.name] ?? "";
-    this.cursors = [null, ...(query.pages?.split(",") ?? [])];
     this.refresh();
+  }
+
+  /** Of the pages up to the one that is shown. */
+  get cursors() {
+    return [null, ...(currentQuery().pages?.split(",") ?? [])];
   }
 
   async refresh() {
@@ -70,16 +73,11 @@ export class SweepList {
     try {
       const [pinned, others] = await Promise.all([
         request({ pinned: true, limit: MAX_PINNED }),
-        request({ pinned: this.hasManyPinned ? null : false, limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
+        request({ limit: PAGE_SIZE, cursor: this.cursors.at(-1) }),
       ]);
       if (asked !== JSON.stringify([this.#wanted(), this.cursors])) return;
       if (!others.jobs.length && this.cursors.length > 1) { // all of this page were deleted
-        this.cursors = this.cursors.slice(0, -1);
-        return this.refresh();
-      }
-      const hasManyPinned = pinned.total > MAX_PINNED;
-      if (hasManyPinned !== this.hasManyPinned) {
-        this.hasManyPinned = hasManyPinned;
+        setQuery({ pages: this.cursors.slice(1, -1).join() || null });
         return this.refresh(); // not show(), which would take back what is typed
       }
       const above = this.cursors.length === 1 ? pinned.jobs : [];
@@ -113,13 +111,12 @@ export class SweepList {
 
   #find() {
     setQuery({ ...Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])), pages: null });
-    this.show();
+    this.refresh();
   }
 
   /** Show another page of the list. The heading takes the keyboard focus: the pressed button disappears. */
   #turn(cursors) {
-    if (cursors !== this.cursors) setQuery({ pages: cursors.slice(1).join() || null });
-    this.cursors = cursors;
+    setQuery({ pages: cursors.slice(1).join() || null });
     this.refresh();
     document.getElementById("sweeps")?.focus();
   }
@@ -127,36 +124,31 @@ export class SweepList {
   #showRange(pinned, others) {
     this.following = others.next;
     const before = (this.cursors.length - 1) * PAGE_SIZE;
-    const total = others.total + (this.hasManyPinned ? 0 : pinned.total);
     const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
-    const foundText = isFiltered ? `${plural(total, "sweep")} found` : "";
+    const foundText = isFiltered ? `${plural(others.total, "sweep")} found` : "";
     this.previous.hidden = !before;
     this.next.hidden = others.next === null;
-    const pinnedText = pinned.total ? `, ${this.hasManyPinned ? "with" : "and"} ${count(pinned.total)} pinned` : "";
+    const pinnedText = pinned.total ? `, with ${count(pinned.total)} pinned` : "";
     const range = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinnedText}`;
     setText(this.range, before || others.next ? range : foundText);
-    this.empty.hidden = total > 0;
+    this.empty.hidden = others.total > 0;
     this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet.";
-    this.intro.hidden = total > 0 || isFiltered;
-    this.filters.hidden = !total && !isFiltered;
-    this.selection.hidden = !total;
+    this.intro.hidden = others.total > 0 || isFiltered;
+    this.filters.hidden = !others.total && !isFiltered;
+    this.selection.hidden = !others.total;
   }
 
   /** Rows are updated in place, which keeps the keyboard focus. */
   #showJobs(jobs) {
     this.jobs = jobs;
-    const ids = new Set(jobs.map((job) => job.id));
-    for (const [id, row] of this.rows) {
-      if (ids.has(id)) continue;
-      row.element.remove();
-      this.rows.delete(id);
-      this.selected.delete(id);
-    }
+    const rows = new Map(jobs.map(({ id }) => [id, this.rows.get(id) ?? this.#row()]));
+    for (const [id, { element }] of this.rows) if (!rows.has(id)) element.remove();
+    this.rows = rows;
+    this.selected = new Set([...this.selected].filter((id) => rows.has(id)));
     jobs.forEach((job, index) => {
-      if (!this.rows.has(job.id)) this.rows.set(job.id, this.#row());
-      const row = this.rows.get(job.id);
-      row.update(job);
-      if (this.list.children[index] !== row.element) this.list.insertBefore(row.element, this.list.children[index] ?? null);
+      const { element, update } = rows.get(job.id);
+      update(job);
+      if (this.list.children[index] !== element) this.list.insertBefore(element, this.list.children[index] ?? null);
     });
     this.#showSelection();
   }

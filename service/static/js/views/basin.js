@@ -23,10 +23,7 @@ export class Basin extends PlaneView {
     super(view);
     this.legend = h("ul", { className: "legend", "aria-label": "Attractors and the shares of the starts that reach them" });
     this.entropies = h("p", { className: "note" });
-    this.build(root, {
-      controls: h("div", { className: "controls" }, sliders(this, AXES)),
-      label: "Plane of starts", hint: HINT, shown: [this.legend, this.entropies],
-    });
+    this.build(root, { controls: sliders(this, AXES), label: "Plane of starts", hint: HINT, shown: [this.legend, this.entropies] });
   }
 
   filePath() {
@@ -61,7 +58,6 @@ export class Basin extends PlaneView {
       title: this.textOf(this.cell),
       message: complete ? null : "This cell is not computed yet",
       layers: [(ctx, box) => this.#drawStarts(ctx, box)],
-      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 

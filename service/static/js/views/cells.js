@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 import { share } from "../lib/format.js";
 import { axisColumn, clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour, theme } from "../plot/colours.js";
-import { bitmap, circle, polyline } from "../plot/drawing.js";
+import { bitmap, circle, polyline, rgba32 } from "../plot/drawing.js";
 import { cellExtent } from "../plot/scale.js";
 import { PlotView } from "./plot-view.js";
 
@@ -142,6 +142,13 @@ export class ClassLegend {
     this.element.replaceChildren(...shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
     }, name), " ", h("small", {}, share(part, 2)))));
+  }
+
+  /** The colours of the classes, as 32 bits; hidden ones have that of the surface. */
+  colours({ surface, dark }) {
+    const colours = new Uint32Array(256);
+    for (const { id } of this.view.classes.present) colours[id] = rgba32(this.hidden.has(id) ? surface : modeColour(id, dark));
+    return colours;
   }
 
   #toggle(id) {

@@ -37,7 +37,7 @@ class CyclesOverlay {
     this.input = h("input", { type: "checkbox", onchange: () => setQuery({ [parameter]: this.input.checked ? 1 : null }) });
     this.note = h("span", { className: "note", role: "status" });
     const title = `${hasOwnCycles(view.job) ? "Of the sweep's own contact, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
-    this.element = h("span", { className: "closed-form", hidden: path() === null }, h("label", { className: "direction branch", title }, this.input, ` ${label}`), " ", this.note);
+    this.element = h("span", { className: "closed-form", hidden: path() === null }, h("label", { title }, this.input, ` ${label}`), " ", this.note);
     this.load = latest((signal) => this.#load(signal));
     queryChanges.addEventListener("change", () => this.update(), { signal: view.signal });
   }

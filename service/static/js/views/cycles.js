@@ -1,11 +1,8 @@
 // Cycles of one bounce over Γ: their branches, stable and unstable, and a table of their events.
 
 import { query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
-import { fileName } from "../lib/downloads.js";
 import { exact, number } from "../lib/format.js";
 import { axisLabel, clamp, threshold } from "../lib/physics.js";
-import { PagedTable } from "../lib/table.js";
 import { verticalLine } from "../plot/drawing.js";
 import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches, startOn } from "./closed-form.js";
 import { sliders } from "./controls.js";
@@ -20,12 +17,11 @@ export class Cycles extends PlotView {
 
   constructor(root, view, hint = "Cycles of one bounce. Point at a branch to read it, press to see the cycle move, drag or turn the wheel to zoom.") {
     super(view);
-    const events = new PagedTable("Folds, flips and grazes", () => this.#events(), () => fileName(this.job, "events", "csv"), true);
-    this.build(root, { controls: h("div", { className: "controls" }, this.controls()), label: "Flight times of the cycles over Γ", hint, below: [events] });
+    this.build(root, { controls: this.controls(), label: "Flight times of the cycles over Γ", hint, events: ["Folds, flips and grazes", () => this.#events()] });
   }
 
   controls() {
-    return [sliders(this, ["omega", "xi"])];
+    return sliders(this, ["omega", "xi"]);
   }
 
   filePath() {
@@ -38,7 +34,6 @@ export class Cycles extends PlotView {
   }
 
   #events() {
-    if (!this.isLoaded) return [[], []];
     return [[["event", ({ kind }) => eventName(kind)], ...this.#columns(7, 6)], this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
@@ -56,11 +51,12 @@ export class Cycles extends PlotView {
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
-      cursor: (ctx, box) => {
-        if (this.current?.periods) drawCycle(ctx, box, this.current);
-        else if (this.current) verticalLine(ctx, box, box.x.pixel(this.current.gamma), box.theme.muted, 1, [2, 3]);
-      },
     };
+  }
+
+  drawCursor(ctx, box) {
+    if (this.current?.periods) drawCycle(ctx, box, this.current);
+    else if (this.current) verticalLine(ctx, box, box.x.pixel(this.current.gamma), box.theme.muted, 1, [2, 3]);
   }
 
   nearest(x, y) {

@@ -3,8 +3,7 @@
 
 import { link } from "../lib/address.js";
 import { partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
-import { announce, h, problemLine, workButton } from "../lib/dom.js";
-import { downloads } from "../lib/downloads.js";
+import { announce, downloads, h, problemLine, workButton } from "../lib/dom.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
 import { axisText, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";

@@ -2,12 +2,11 @@
 
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
-import { choice, h } from "../lib/dom.js";
-import { exact } from "../lib/format.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, digitsTo, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
+import { checkBox, choice, h } from "../lib/dom.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
-import { drawFlights, flightsIn, markCell } from "../plot/flights.js";
+import { distinctFlights, drawFlights, flightsIn, flightsText, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
 import { cellBorders, cellExtent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle, startOn } from "./closed-form.js";
@@ -19,9 +18,7 @@ import { titleOf } from "./progress.js";
 
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom.";
 const MAX_CIRCLES = 200;
-const MAX_LISTED = 6; // flights listed one by one
 const STRIP = 8; // px, of the modes of a line
-const SAME_FLIGHT = 2e-3; // rad: shorter differences between flights of a cell are not listed
 
 /** Cells are {line, cell, source}: a line of `lines`, an index into its values, and its source; or cycles. */
 export class Diagram extends PlotView {
@@ -32,18 +29,18 @@ export class Diagram extends PlotView {
     this.axes = AXES.filter((axis) => this.grid[axis].length > 1);
     this.overlay = !this.isCompared && hasCycles(this.job) ? branchesOver(this) : null;
     this.measured = this.isCompared || this.isBeside ? null : new MeasuredPoints(this, "flight_time");
-    this.caption = h("input", { type: "checkbox", checked: true });
+    this.caption = checkBox("SVG and PDF with a caption", { checked: true, "data-service": true });
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     const diagrams = this.axes.map((axis) => [axis, `${SYMBOL[axis]}–φ`]);
     const setAxis = (along) => setQuery({ along, ...windowQuery(null) });
     const axis = choice("Diagram", diagrams, this.along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true });
-    const controls = h("div", { className: "controls" }, this.axes.length > 1 && !this.isFollower && axis, sliders(this, AXES));
+    const controls = [this.axes.length > 1 && !this.isFollower && axis, sliders(this, AXES)];
+    const ramps = [["", "both"], ...this.directions.map((direction) => [direction, direction])];
     const options = h("div", { className: "controls" },
-      this.directions.length > 1 && !this.isCompared && this.#directionBoxes(),
+      this.directions.length > 1 && !this.isCompared && choice("Ramp", ramps, currentQuery().show, (show) => setQuery({ show: show || null })),
       this.overlay?.element,
       !this.isCompared && !this.isFollower && minFlightInput(this.job));
-    const captioned = h("label", { className: "option", "data-service": true }, this.caption, " SVG and PDF with a caption");
-    const ofSweep = { shown: [options, this.legend.element], below: [captioned], label: `Bifurcation diagram of ${titleOf(this.job)}` };
+    const ofSweep = { shown: [options, this.legend.element], below: [this.caption], label: `Bifurcation diagram of ${titleOf(this.job)}` };
     this.build(root, { controls, hint: HINT, ...(this.isCompared ? { shown: [options], label: "Bifurcation diagrams" } : ofSweep) });
     if (!this.job.spec.exponents || this.isCompared) return;
     const content = () => (this.isLoaded && this.plot.box ? this.#exponents() : null);
@@ -91,19 +88,9 @@ export class Diagram extends PlotView {
     return this.isBeside && window ? { ...this.whole(), x0: window.x0, x1: window.x1 } : window;
   }
 
-  #directionBoxes() {
-    const onchange = () => {
-      const checked = this.directions.filter((_, i) => boxes[i].checked);
-      setQuery({ show: checked.length === this.directions.length ? null : checked.join() || "none" });
-    };
-    const boxes = this.directions.map((direction) => h("input", { type: "checkbox", checked: this.#shownOf(this.source).includes(direction), onchange }));
-    return h("fieldset", { className: "directions" }, h("legend", {}, "Ramp"),
-      this.directions.map((direction, i) => h("label", { className: `direction ${direction}` }, boxes[i], ` ${direction}`)));
-  }
-
   #shownOf({ directions }) {
     const { show } = currentQuery();
-    return directions.filter((direction) => directions.length === 1 || !show || show.split(",").includes(direction));
+    return directions.includes(show) ? [show] : directions;
   }
 
   #path(source, parameters) {
@@ -117,14 +104,13 @@ export class Diagram extends PlotView {
   /** The whole lines; where they have more cells than are sent, the zoomed window in more detail. */
   paths() {
     const { x0: start, x1: stop } = (this.isThinned && this.window) || {};
-    return this.sources.filter((source) => this.#shownOf(source).length).map((source) => this.#path(source, { start, stop }));
+    return this.sources.map((source) => this.#path(source, { start, stop }));
   }
 
   /** What is shown: the window, without the flights of hidden modes. */
   filePath(source, format) {
-    if (!this.#shownOf(source).length) throw new Error("No ramp direction is selected.");
     const { x0: start, x1: stop, y0, y1 } = this.window ?? {};
-    const of = { hide: this.isCompared ? null : this.legend.query, caption: this.caption.checked ? null : false };
+    const of = { hide: this.isCompared ? null : this.legend.query, caption: this.caption.control.checked ? null : false };
     const branches = this.cycles && format !== "csv" ? true : null;
     return this.#path(source, { start, stop, flight_start: y0, flight_stop: y1, log: this.log, branches, ...of });
   }
@@ -159,8 +145,8 @@ export class Diagram extends PlotView {
 
   content() {
     const { lines, cycles } = this;
-    const { along, fixed } = lines[0] ?? this;
-    const hasThreshold = along === "gamma" && fixed && !this.isCompared && hasSpring(this.job);
+    const [{ along, fixed }] = lines;
+    const hasThreshold = along === "gamma" && !this.isCompared && hasSpring(this.job);
     return {
       ...this.scales(this.axisOf(along), FLIGHT_AXIS),
       title: this.#title(),
@@ -173,7 +159,6 @@ export class Diagram extends PlotView {
         (ctx, box) => this.measured?.draw(ctx, box),
         (ctx, box) => !this.isCompared && drawStrips(ctx, box, lines, this.legend.hidden),
       ],
-      cursor: (ctx, box) => this.#drawCursor(ctx, box),
     };
   }
 
@@ -197,7 +182,6 @@ export class Diagram extends PlotView {
   /** The fixed values, which of the cells are shown, how many were computed; of compared sweeps, the values they share. */
   #title() {
     const [line] = this.lines;
-    if (!line) return "";
     const fixed = this.textOf(Object.fromEntries(this.#fixed(true).map((axis) => [axis, line.fixed[axis]])));
     if (this.isCompared) return fixed;
     const thinned = line.every > 1 ? `,   1 ${SYMBOL[line.along]} in ${line.every}` : "";
@@ -206,7 +190,7 @@ export class Diagram extends PlotView {
   }
 
   #legend() {
-    const several = this.lines.length ? this.#fixed(false) : [];
+    const several = this.#fixed(false);
     const nameOf = ({ source, fixed }) => [shortened(titleOf(source.job)), ...several.map((axis) => this.textOf({ [axis]: fixed[axis] }))].join(", ");
     const entries = this.isCompared
       ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [nameOf(line), line])
@@ -215,11 +199,11 @@ export class Diagram extends PlotView {
     return entries.map(([name, line], i) => [name, (ctx, x, y, theme) => disc(ctx, this.#colour(line, theme), x + 16, y, i ? 2.8 : 4.5)]);
   }
 
-  #drawCursor(ctx, box) {
+  drawCursor(ctx, box) {
     const cell = this.#selectedOnLines();
     if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
     if (this.current?.periods) drawCycle(ctx, box, this.current);
-    else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(line, cell).slice(0, MAX_CIRCLES)));
+    else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(flightsIn(line, cell)).slice(0, MAX_CIRCLES)));
   }
 
   /** The colour of a direction; of several sweeps, each has a colour of its own. */
@@ -241,7 +225,7 @@ export class Diagram extends PlotView {
     if (cycle) return cycle;
     const distance = ({ line, cell }) => Math.min(...Array.from(flightsIn(line, cell), (time) => Math.abs(time - y)), 1e9);
     const cells = this.lines.map((line) => this.#cell(line, nearestIndex(line.values, x)));
-    return cells.sort((a, b) => distance(a) - distance(b))[0] ?? null;
+    return cells.sort((a, b) => distance(a) - distance(b))[0];
   }
 
   cellsInWindow() {
@@ -258,19 +242,18 @@ export class Diagram extends PlotView {
 
   columnsOfTable() {
     const isOne = (valueOf) => new Set(this.lines.map(valueOf)).size < 2;
-    const { fixed = {}, direction = "rest" } = this.lines[0] ?? {};
+    const [{ fixed, direction }] = this.lines;
     return [
       axisColumn(SYMBOL[this.along], this.grid[this.along], ({ line, cell }) => line.values[cell]),
       ...(this.isCompared ? [["sweep", ({ line }) => titleOf(line.source.job)]] : []),
       ...AXES.filter((axis) => axis in fixed).map((axis) => [...axisColumn(SYMBOL[axis], this.grid[axis], ({ line }) => line.fixed[axis]), isOne((line) => line.fixed[axis])]),
       ...(isOne((line) => line.direction) && direction === "rest" ? [] : [["ramp", ({ line }) => line.direction, isOne((line) => line.direction)]]),
       ...cellColumns(Object.assign({}, ...this.lines), ({ line, cell }) => [line, cell]),
-      ["flight times (rad)", ({ line, cell }, whole) => flightsText(distinctFlights(line, cell), whole, line.flight_error?.[cell])],
+      ["flight times (rad)", ({ line, cell }, whole) => flightsText(flightsIn(line, cell), whole, line.flight_error?.[cell])],
     ];
   }
 
   step(current, right, up) {
-    if (!this.lines.length) return null;
     if (!current?.line) return this.#cell(this.lines[0], this.lines[0].values.length >> 1);
     const other = up ? this.lines.find((line) => line !== current.line) : null;
     return this.#cell(other ?? current.line, current.cell + right);
@@ -324,7 +307,6 @@ function drawStrips(ctx, box, lines, hidden) {
 
 /** Why a diagram is empty; null if it is not. */
 function emptyMessage(lines) {
-  if (!lines.length) return "No ramp direction is selected";
   if (lines.some(({ highest }) => highest > 0)) return null;
   const allAre = (wanted) => lines.every(({ outcome }) => outcome.every((value) => value === wanted));
   if (allAre(OUTCOME.missing)) return "Not computed yet";
@@ -345,9 +327,5 @@ function drawSelected(ctx, box, value, colour) {
   verticalLine(ctx, box, x, colour, 1, [2, 3]);
   polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
 }
-
-/** The distinct flight times of one cell, shortest first. */
-const distinctFlights = (line, cell) => Array.from(flightsIn(line, cell).sort()).filter((time, i, times) => i === 0 || time - times[i - 1] > SAME_FLIGHT);
-const flightsText = (times, whole, bound) => times.slice(0, whole ? Infinity : MAX_LISTED).map((time) => exact(time, whole, digitsTo(time, bound))).join(" ") + (!whole && times.length > MAX_LISTED ? " …" : "");
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

@@ -1,8 +1,7 @@
 // Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on the page, drawn above what is computed.
 
 import { requestBlob } from "../lib/api.js";
-import { announce, button, h, problemLine } from "../lib/dom.js";
-import { fileName, resultFiles } from "../lib/downloads.js";
+import { announce, button, fileName, h, problemLine, resultFiles } from "../lib/dom.js";
 import { count, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, TWO_PI, initialValue, isSweep } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";

@@ -2,10 +2,10 @@
 
 import { currentQuery, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
-import { choice, h } from "../lib/dom.js";
+import { checkBox, choice, h } from "../lib/dom.js";
 import { share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, hasSpring, nearestIndex, threshold } from "../lib/physics.js";
-import { modeClasses, modeColour } from "../plot/colours.js";
+import { modeClasses } from "../plot/colours.js";
 import { CURVE_DASH, legendLine, polyline, rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView, hatchAt, hatchSymbol, sharesAt, windowOf } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
@@ -17,7 +17,7 @@ const HINT = "Point at a cell to read it, press to show its trajectory, drag or 
 export class Modes extends PlaneView {
   name = "modes";
   windowed = ["gamma", "omega"];
-  marks = () => [this.showsComputed.checked && "the marks of computed cells"];
+  marks = () => [this.showsComputed.control.checked && "the marks of computed cells"];
 
   constructor(root, view) {
     super(view);
@@ -26,18 +26,18 @@ export class Modes extends PlaneView {
     const isFirst = (has) => this.compared.find(has) === this.source; // a control acts on the maps of all compared sweeps
     const canHatch = isFirst(({ directions }) => directions.length > 1);
     const setColour = (color) => setQuery({ color: color === "mode" ? null : color });
-    const hatches = h("input", { type: "checkbox", checked: this.showsHysteresis, onchange: () => setQuery({ hatch: hatches.checked ? null : 0 }) });
-    this.showsComputed = h("input", { type: "checkbox", onchange: () => this.plot.draw() });
+    const setHatch = ({ target }) => setQuery({ hatch: target.checked ? null : 0 });
+    this.showsComputed = checkBox("Show which cells were computed", { onchange: () => this.plot.draw() });
     this.legend = new ClassLegend(this, "Modes: (bounces, plate periods)");
     this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
-      controls: h("div", { className: "controls" }, sliders(this, ["xi"]),
+      controls: [sliders(this, ["xi"]),
         canHatch && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
-        isFirst(({ job }) => certifies(job.spec)) && choice("Colour", COLOURS, this.color, setColour, { "data-service": true })),
+        isFirst(({ job }) => certifies(job.spec)) && choice("Colour", COLOURS, this.color, setColour, { "data-service": true })],
       label: `Mode map of ${titleOf(this.job)}`, hint: HINT,
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
-        canHatch && h("label", { className: "option" }, hatches, " Hatch where up and down differ"),
-        this.isAdaptive && h("label", { className: "option" }, this.showsComputed, " Show which cells were computed"),
+        canHatch && checkBox("Hatch where up and down differ", { checked: this.showsHysteresis, onchange: setHatch }),
+        this.isAdaptive && this.showsComputed,
         !this.isAdaptive && !this.isFollower && minFlightInput(this.job))],
     });
   }
@@ -63,17 +63,12 @@ export class Modes extends PlaneView {
 
   /** The whole map; of a map with more cells than are sent, the zoomed window in more detail. */
   paths() {
-    return [this.#path(this.isThinned ? this.#windowQuery() : {})];
+    return [this.#path(this.isThinned ? this.windowOn("gamma", "omega") : {})];
   }
 
   /** What is shown: the cells of the window, in a picture without hidden modes. */
   filePath() {
-    return this.#path({ ...this.#windowQuery(), log: this.log, hide: this.legend.query });
-  }
-
-  #windowQuery() {
-    const { x0, x1, y0, y1 } = this.window ?? {};
-    return { gamma_start: x0, gamma_stop: x1, omega_start: y0, omega_stop: y1 };
+    return this.#path({ ...this.windowOn("gamma", "omega"), log: this.log, hide: this.legend.query });
   }
 
   read([result]) {
@@ -121,18 +116,15 @@ export class Modes extends PlaneView {
       ],
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => hasSpring(this.job) && drawThresholdCurve(ctx, box, this.xi)],
-      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 
   #drawModes(ctx, box) {
     const { painted, cells: { computed, hysteresis } } = this;
-    const colours = new Uint32Array(256);
-    const { hidden } = this.legend;
-    for (const { id } of this.classes.present) colours[id] = rgba32(hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark));
+    const colours = this.legend.colours(box.theme);
     const hatch = [rgba32(box.theme.text), rgba32(box.theme.surface)];
     const mark = rgba32(box.theme.cursor);
-    const isMarked = this.isAdaptive && this.showsComputed.checked;
+    const isMarked = this.showsComputed.control.checked;
     const over = (cell, x, y) => {
       const line = hysteresis?.[cell] ? hatchAt(x, y, hysteresis[cell] === HYSTERESIS.mode) : -1;
       return hatch[line] ?? (isMarked && computed[cell] ? mark : null);

@@ -1,20 +1,17 @@
 // Attractors over a grid: the flights of all that coexist along Γ, and the map of where several do.
 
 import { partsOf, query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
-import { fileName } from "../lib/downloads.js";
+import { checkBox, h } from "../lib/dom.js";
 import { number, plural, share } from "../lib/format.js";
-import { PagedTable } from "../lib/table.js";
 import { TWO_PI, axisColumn, axisText, clampIndex, inSymbols, isClose, nearestIndex, startName, startOf } from "../lib/physics.js";
 import { COLOURED, numberedColour, theme } from "../plot/colours.js";
 import { rgba32, verticalLine } from "../plot/drawing.js";
-import { drawCell, markCell } from "../plot/flights.js";
+import { drawCell, flightsText, markCell } from "../plot/flights.js";
 import { cellExtent } from "../plot/scale.js";
 import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
 
-const MAX_LISTED = 6; // flights
 const eventColumns = (values) => [
   ["Γ", ({ gamma_below: low, gamma_above: high }) => `${axisText(low, values)}–${axisText(high, values)}`],
   ["event", ({ kind }) => kind],
@@ -30,10 +27,7 @@ class AttractorView extends PlaneView {
     this.axes = axes;
     this.legend = h("ul", { className: "legend", "aria-label": "Attractors" });
     this.shares = h("p", { className: "note" });
-    this.build(root, {
-      controls: h("div", { className: "controls" }, sliders(this, axes), controls),
-      shown: [this.legend, this.shares], ...options,
-    });
+    this.build(root, { controls: [sliders(this, axes), controls], shown: [this.legend, this.shares], ...options });
   }
 
   filePath() {
@@ -73,9 +67,9 @@ export class AttractorDiagram extends AttractorView {
   name = "attractors";
 
   constructor(root, view) {
-    const events = new PagedTable("Births, ends, changes of mode", () => (this.isLoaded ? [[...eventColumns(this.grid.gamma), ...this.common(this.spring)], partsOf(this.plane, "event")] : [[], []]), () => fileName(this.job, "events", "csv"), true);
+    const events = () => [[...eventColumns(this.grid.gamma), ...this.common(this.spring)], partsOf(this.plane, "event")];
     super(root, view, {
-      below: [events], axes: ["omega", "xi"], label: "Diagram of all attractors",
+      events: ["Births, ends, changes of mode", events], axes: ["omega", "xi"], label: "Diagram of all attractors",
       hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
     });
   }
@@ -92,7 +86,6 @@ export class AttractorDiagram extends AttractorView {
       title: this.textOf(this.spring),
       message: this.message,
       layers: [(ctx, box) => this.#drawEvents(ctx, box), (ctx, box) => this.#drawFlights(ctx, box)],
-      cursor: (ctx, box) => this.#drawCurrent(ctx, box),
     };
   }
 
@@ -110,7 +103,7 @@ export class AttractorDiagram extends AttractorView {
     attractors.sort((a, b) => b.id - a.id).forEach(({ id, gamma, times }) => drawCell(ctx, box, gamma, times, numberedColour(id, box.theme.dark), radius));
   }
 
-  #drawCurrent(ctx, box) {
+  drawCursor(ctx, box) {
     const cell = this.current ?? this.#selectedCell();
     const attractor = cell && this.attractorsOf(cell)[cell.k];
     if (attractor) markCell(ctx, box, this.columns[cell.column], attractor.times);
@@ -132,14 +125,12 @@ export class AttractorDiagram extends AttractorView {
       const attractor = this.attractorsOf(cell)[cell.k];
       return attractor ? text(attractor, whole) : otherwise(cell);
     }];
-    const distinct = ({ times }) => [...new Map(times.map((time) => [number(time, 4), time]))];
-    const flightsText = (cell, whole) => distinct(cell).slice(0, whole ? Infinity : MAX_LISTED).map(([text, time]) => (whole ? time : text)).join(" ");
     return [
       axisColumn("Γ", this.grid.gamma, (cell) => this.columns[cell.column]), ...this.common(this.spring),
       column("attractor", ({ id }) => String(id)),
       column("mode", ({ label }) => label, (cell) => (this.count[cell.column] < 0 ? "not computed yet" : "")),
       column("share of drops", ({ fraction }) => (fraction ? share(fraction) : "none, from a neighbouring cell")),
-      column("flight times (rad)", flightsText),
+      column("flight times (rad)", ({ times }, whole) => flightsText(times, whole)),
     ];
   }
 
@@ -169,24 +160,22 @@ export class AttractorMap extends AttractorView {
   name = "attractor-map";
 
   constructor(root, view) {
-    const hatches = h("input", { type: "checkbox", checked: true, onchange: () => this.plot.draw() });
+    const hatches = checkBox("Hatch cells with several attractors", { checked: true, onchange: () => this.plot.draw() });
     super(root, view, {
-      axes: ["xi"], label: "Map of attractors",
-      controls: h("label", { className: "option" }, hatches, " Hatch cells with several attractors"),
+      axes: ["xi"], label: "Map of attractors", controls: hatches,
       hint: "Point at a cell to read its attractors, press to see the first one move, drag or turn the wheel to zoom.",
     });
     this.hatches = hatches;
   }
 
   content() {
-    const isHatched = this.hatches.checked && this.plane.attrs.several > 0;
+    const isHatched = this.hatches.control.checked && this.plane.attrs.several > 0;
     return {
       title: this.textOf({ xi: this.xi }),
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       legend: isHatched ? [["several attractors", hatchSymbol]] : [],
       message: this.message,
       layers: [(ctx, box) => this.#drawAttractors(ctx, box, isHatched)],
-      cursor: (ctx, box) => this.drawCursor(ctx, box),
     };
   }
 

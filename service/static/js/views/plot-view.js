@@ -2,8 +2,7 @@
 
 import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
-import { announce, button, copyButton, debounced, h, latest, problemLine } from "../lib/dom.js";
-import { downloads, fileName, resultFiles } from "../lib/downloads.js";
+import { announce, button, copyButton, debounced, downloads, fileName, h, latest, problemLine, resultFiles } from "../lib/dom.js";
 import { AXES, SYMBOL, axisColumn, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
@@ -44,7 +43,7 @@ async function requestFitting(path, options) {
  *   paths()          optional; the addresses of the results to show, if they are not those of filePath()
  *   read(results)    takes their Datasets (see requestDataset)
  *   filePath(source, format)   the address of the result of a source that is downloaded
- *   content(), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
+ *   content(), drawCursor(ctx, box), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
  *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
  *                    The views represent cells differently; only their own methods look into one, but for its
  *                    `source` where views have several.
@@ -60,6 +59,7 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
+  turned = -Infinity; // when the wheel was turned last
   log = currentQuery().log; // the logarithmic axes: until it is drawn, those of the address
   isThinned = false; // whether all of it is more than the service sends
 
@@ -115,15 +115,17 @@ export class PlotView {
     setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
   }
 
-  /** Build the view and start loading; the column beside the plot has `shown`: legend, options, notes, and ends with `below`. */
-  build(root, { controls, label, hint, shown = [], below = [] }) {
-    this.tables = below.filter((table) => table instanceof PagedTable);
+  /** Build the view with its `controls`, and start loading; the column beside the plot has `shown`: legend, options, notes,
+   * and ends with `below`, and a table of `events`: its label and a function that reads it (see PagedTable). */
+  build(root, { controls, label, hint, shown = [], below = [], events }) {
     this.hint = shared ? hint.replace(/, press to [^,]*,/, ",") : hint; // a shared file computes no motion
     this.readout = h("p", { className: "readout" }, this.hint);
     this.problem = problemLine();
-    const content = () => (this.isLoaded ? [this.columnsOfTable(), this.cellsShown()] : [[], []]);
-    this.table = new PagedTable("Table of what is shown", content, () => fileName(this.job, `${this.name}-table`, "csv"));
-    this.bar?.replaceChildren(controls);
+    const tableOf = (title, read, nameOf, open) => new PagedTable(title, () => (this.isLoaded ? read() : [[], []]), () => fileName(this.job, nameOf(), "csv"), open);
+    this.table = tableOf("Table of what is shown", () => [this.columnsOfTable(), this.cellsShown()], () => `${this.name}-table`);
+    this.events = events && tableOf(...events, () => "events", true);
+    const line = h("div", { className: "controls" }, controls);
+    this.bar?.replaceChildren(line);
     const figure = h("figure", {});
     this.unzoom = button("Show everything", () => this.#zoom(null), { hidden: !this.window });
     this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => this.#toggleLog(axis), { hidden: !this.windowed, disabled: true, title: `Logarithmic ${axis} axis` }));
@@ -131,10 +133,10 @@ export class PlotView {
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
       this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.#downloads(), actions(this.unzoom, this.logButtons, compute),
-      ...shown, this.measured?.elements, ...below.map((item) => item.element ?? item), this.table.element,
+      ...shown, this.measured?.elements, ...below, this.events?.element, this.table.element,
     ];
-    root.replaceChildren(...(this.bar ? [] : [controls]), this.problem.element, figure, h("aside", {}, column));
-    this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null) });
+    root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", {}, column));
+    this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? { cursor: (ctx, box) => this.drawCursor(ctx, box), ...this.content() } : null) });
     this.plot.element.addEventListener("drawn", () => { this.lacking.textContent = this.#lacking(); });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
@@ -153,7 +155,10 @@ export class PlotView {
   }
 
   #scale(factors, from = this.current && this.at(this.current), to = from) {
-    this.#zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), this.#isNewGesture());
+    const last = this.turned;
+    this.turned = performance.now();
+    const isStep = this.turned - last > GESTURE_MS; // Back undoes a gesture, not its parts
+    this.#zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), isStep);
   }
 
   #zoom(window, isStep = true) {
@@ -194,16 +199,8 @@ export class PlotView {
     navigate(["new"], { from: this.job.id, ...fixed, ...Object.fromEntries(ends) });
   }
 
-  /** Whether the last turn of the wheel is long ago: Back undoes a gesture, not its parts. */
-  #isNewGesture() {
-    const before = this.gesture ?? -Infinity;
-    this.gesture = performance.now();
-    return this.gesture - before > GESTURE_MS;
-  }
-
   /** Of a running job each second: what is loading is shown first, however long it takes. */
-  update(job) {
-    this.source.job = job;
+  update() {
     this.isOutdated = this.plot.element.hasAttribute("aria-busy");
     if (!this.isOutdated) this.load();
   }
@@ -220,6 +217,12 @@ export class PlotView {
 
   paths() {
     return this.sources.map((source) => this.filePath(source));
+  }
+
+  /** The window zoomed to, as parameters of a query whose axes have these names. */
+  windowOn(x, y) {
+    const { x0, x1, y0, y1 } = this.window ?? {};
+    return { [`${x}_start`]: x0, [`${x}_stop`]: x1, [`${y}_start`]: y0, [`${y}_stop`]: y1 };
   }
 
   #follow() {
@@ -263,7 +266,7 @@ export class PlotView {
     this.measured?.update();
     this.plot.draw();
     this.plot.element.dataset.shown = parametersOf(this.results[0]);
-    this.tables.forEach((table) => table.update());
+    this.events?.update();
     this.#updateTable();
   }
 
@@ -326,7 +329,7 @@ export class PlotView {
 
   /** What the files of the service lack of what is shown, in words. */
   #lacking() {
-    if (!this.isLoaded || !this.paths().length || !this.lacking.isConnected) return "";
+    if (!this.isLoaded || !this.lacking.isConnected) return "";
     const sent = new URLSearchParams(this.filePath(this.source).split("?")[1]);
     const ends = Object.values(this.window ?? {}).map(String);
     const hides = !sent.has("hide") && this.classes?.present.some(({ id }) => this.legend.hidden.has(id));

@@ -1,7 +1,6 @@
 // Thresholds in Γ against Ω: where bouncing begins on the ramp up and ends on the ramp down, with Eq. 25.
 
 import { partsOf, query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { axisColumn, axisText, clampIndex, hasCycles, hasSpring, inSymbols, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { CURVE_DASH, disc, legendLine, polygon, polyline, verticalLine } from "../plot/drawing.js";
@@ -27,8 +26,7 @@ export class Thresholds extends PlotView {
     super(view);
     this.overlay = hasCycles(this.job) && this.grid.omega.length > 1 ? foldsOver(this) : null;
     this.measured = new MeasuredPoints(this, "gamma");
-    const controls = h("div", { className: "controls" }, sliders(this, ["xi"]));
-    this.build(root, { controls, label: "Thresholds against the plate frequency", hint: HINT, shown: this.overlay ? [this.overlay.element] : [] });
+    this.build(root, { controls: sliders(this, ["xi"]), label: "Thresholds against the plate frequency", hint: HINT, shown: this.overlay ? [this.overlay.element] : [] });
   }
 
   /** Without what the closed form predicts, which takes longer, until the thresholds at this ξ are shown. */
@@ -37,11 +35,10 @@ export class Thresholds extends PlotView {
     return [this.#path({ predict: this.overlay && isShown ? null : "none" })];
   }
 
-  #path = (window) => `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...window })}`;
+  #path = (parameters) => `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...parameters })}`;
 
   filePath() {
-    const { x0, x1, y0, y1 } = this.window ?? {};
-    return this.#path({ omega_start: x0, omega_stop: x1, gamma_start: y0, gamma_stop: y1, predict: this.overlay?.data ? null : "none" });
+    return this.#path({ ...this.windowOn("omega", "gamma"), predict: this.overlay?.data ? null : "none" });
   }
 
   read([result]) {
@@ -75,8 +72,11 @@ export class Thresholds extends PlotView {
       legend: this.#legend(),
       message: isEmpty ? reason : null,
       layers: [(ctx, box) => this.overlay?.data && drawFolds(ctx, box, this.overlay.data), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
-      cursor: (ctx, box) => this.current && verticalLine(ctx, box, box.x.pixel(this.current.row.omega), box.theme.cursor),
     };
+  }
+
+  drawCursor(ctx, box) {
+    if (this.current) verticalLine(ctx, box, box.x.pixel(this.current.row.omega), box.theme.cursor);
   }
 
   #draw(ctx, box) {
