@@ -4,7 +4,7 @@ import { currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, contactQuery, cycleText, hasOwnCycles, startName } from "../lib/physics.js";
+import { SYMBOL, contactQuery, cycleText, hasOwnCycles, isIdeal, startName } from "../lib/physics.js";
 import { circle, curve, disc, isInBox, legendLine, polyline } from "../plot/drawing.js";
 
 const FOLD_MODES = "1-1,1-2";
@@ -73,15 +73,23 @@ export function branchesPath({ omega, xi }, gammaMax, model, longest = 3) {
   return `/v1/orbits?${query({ omega, xi, modes, gamma_max: gammaMax, points: POINTS, ...contactQuery(model) })}`;
 }
 
-/** Branches as lists of cycles {gamma, flight_time, stable, violations, multipliers, bounces, periods}, and their events. */
-export const readBranches = (result) => ({ branches: partsOf(result, "branch").map(cyclesOf), events: partsOf(result, "event") });
+/** The address of the branches along Ω or ξ of the cycles that cells of a sweep settled to; null where its contact's are not followed. */
+const cellBranchesPath = ({ job, along, place }) => (hasOwnCycles(job) || isIdeal(job.spec.model)
+  ? `/v1/jobs/${job.id}/orbits?${query({ ...place, along, [along]: null })}` : null);
 
-const cyclesOf = ({ bounces, periods, gamma, flight_time: times, stable, violations, multipliers }) => Array.from(gamma, (value, i) => ({
-  bounces, periods, gamma: value, flight_time: times[i], stable: stable[i], violations: violations[i], multipliers: multipliers.subarray(4 * i),
-}));
+/** Branches as lists of cycles {gamma, flight_time, stable, violations, multipliers, bounces, periods}, with the value of the axis
+ * `along` which they are, and their events. Of several flights, flight_time is the longest. */
+export function readBranches(result) {
+  const { along = "gamma" } = result.attrs;
+  const cyclesOf = ({ bounces, periods, gamma, [along]: values, flight_time: times, stable, violations, multipliers }) => Array.from(gamma, (value, i) => ({
+    bounces, periods, gamma: value, [along]: values[i], flight_time: times[(i * times.length) / gamma.length],
+    stable: stable[i], violations: violations[i], multipliers: multipliers.subarray(4 * i),
+  }));
+  return { along, branches: partsOf(result, "branch").map(cyclesOf), events: partsOf(result, "event") };
+}
 
 export const branchesOver = (view) => new CyclesOverlay(view, "Branches", "branches",
-  () => (view.along === "gamma" ? branchesPath(view.place, BEYOND * view.grid.gamma.at(-1), view.job.spec.model) : null), readBranches);
+  () => (view.along === "gamma" ? branchesPath(view.place, BEYOND * view.grid.gamma.at(-1), view.job.spec.model) : cellBranchesPath(view)), readBranches);
 
 /** The curves of folds over Ω, and the points at which they meet. */
 export function foldsOver(view) {
@@ -95,8 +103,8 @@ const foldsOf = ({ omega, gamma, flight_time: times, violations, ...curve }) => 
   ...curve, omega: value, gamma: gamma[i], flight_time: times[i], violations: violations[i],
 }));
 
-/** Where cycles are drawn, in px: over Γ, and folds over Ω. */
-const overGamma = ({ x, y }) => ({ gamma, flight_time: time }) => [x.pixel(gamma), y.pixel(time)];
+/** Where cycles are drawn, in px: over the axis `along`, and folds over Ω. */
+const overAxis = (along) => ({ x, y }) => ({ [along]: value, flight_time: time }) => [x.pixel(value), y.pixel(time)];
 export const overOmega = ({ x, y }) => ({ omega, gamma }) => [x.pixel(omega), y.pixel(gamma)];
 
 /** Draw the folds of cycles that the spring has, and mark cusps and the like. */
@@ -109,17 +117,17 @@ export function drawFolds(ctx, box, { branches, events }) {
 export const foldLegend = (plate) => [[`fold${plate}`, (ctx, x, y, theme) => legendLine(ctx, theme.branch, FOLD_WIDTH, x, y)]];
 
 /** Draw the cycles that the spring has, and mark their events. */
-export function drawBranches(ctx, box, { branches, events }) {
-  for (const { stable, points } of branches.flatMap((branch) => runsOf(branch, events))) {
+export function drawBranches(ctx, box, { branches, events, along }) {
+  for (const { stable, points } of branches.flatMap((branch) => runsOf(branch, events, along))) {
     const { width, dash } = stable ? STABLE : UNSTABLE;
-    polyline(ctx, box.theme.branch, width, curve(points.map(({ gamma, flight_time: time }) => [gamma, time]), box), dash);
+    polyline(ctx, box.theme.branch, width, curve(points.map(({ [along]: value, flight_time: time }) => [value, time]), box), dash);
   }
   const cycles = branches.flat().filter(({ violations }) => !violations);
-  drawEvents(ctx, box, events, overGamma(box), cycles.map(overGamma(box)));
+  drawEvents(ctx, box, events, overAxis(along)(box), cycles.map(overAxis(along)(box)));
 }
 
 /** The parts of a branch on which cycles exist and are all stable, or all unstable; they begin and end at events. */
-function runsOf(branch, events) {
+function runsOf(branch, events, along) {
   const runs = [];
   let run = null;
   for (const [i, cycle] of branch.entries()) {
@@ -127,8 +135,10 @@ function runsOf(branch, events) {
       run.points.push(cycle);
       continue;
     }
-    const before = branch[i - 1]?.flight_time; // of the first cycle none: then no event is between
-    const isBetween = ({ flight_time: time }) => (time - before) * (time - cycle.flight_time) < 0;
+    const last = branch[i - 1] ?? {}; // of the first cycle none: then no event is between
+    const near = Math.max(Math.abs(last[along] - cycle[along]), 0.01 * cycle[along]); // a fold is beyond both
+    const isBetween = ({ flight_time: time, [along]: value }) =>
+      (time - last.flight_time) * (time - cycle.flight_time) < 0 && Math.abs(value - cycle[along]) <= near;
     const between = events.filter((event) => event.periods === cycle.periods && event.violations === 0 && isBetween(event));
     if (between.length) run?.points.push(between[0]);
     run = cycle.violations ? null : { stable: cycle.stable, points: [...between.slice(-1), cycle] };
@@ -163,7 +173,7 @@ function drawEvent(ctx, box, [px, py], text, taken) {
 }
 
 /** The cycle nearer than NEAR_PX to a position in axis values, null if there is none; first the event marked there, with the cycle next to it as its `start`. */
-export function nearestCycle({ branches, events }, box, x, y, pixelOf = overGamma) {
+export function nearestCycle({ branches, events, along }, box, x, y, pixelOf = overAxis(along)) {
   const [pixel, px, py] = [pixelOf(box), box.x.pixel(x), box.y.pixel(y)];
   const distance = ([left, top]) => Math.hypot(left - px, top - py);
   const nearest = (items, limit) => items.filter(({ violations }) => !violations).map((item) => [distance(pixel(item)), item])
@@ -178,13 +188,14 @@ export function cyclesAt({ branches }, gamma) {
   return branches.flatMap((branch) => branch.filter(isPassed)).sort((a, b) => a.flight_time - b.flight_time);
 }
 
-export const drawCycle = (ctx, box, { gamma, flight_time: time }) => circle(ctx, box.theme.cursor, 1.8, box.x.pixel(gamma), box.y.pixel(time), 5.5);
-export const describeCycle = (cycle) => (cycle.kind ? describeEvent(cycle) : `${SYMBOL.gamma} = ${number(cycle.gamma, 5)} · ${cycleText(cycle)}`);
+export const drawCycle = (ctx, box, cycle, along = "gamma") => circle(ctx, box.theme.cursor, 1.8, ...overAxis(along)(box)(cycle), 5.5);
+export const describeCycle = (cycle, along = "gamma") => (cycle.kind ? describeEvent(cycle, along) : `${SYMBOL[along]} = ${number(cycle[along], 5)} · ${cycleText(cycle)}`);
 /** "fold (1, 1) · Γ = 0.7678248 · φ = 4.29437 rad" */
-export const describeEvent = ({ kind, bounces, periods, gamma, flight_time: time }) => `${eventName(kind)} (${bounces}, ${periods}) · Γ = ${number(gamma, 7)} · φ = ${number(time, 6)} rad`;
+export const describeEvent = ({ kind, bounces, periods, flight_time: time, ...event }, along = "gamma") => `${eventName(kind)} (${bounces}, ${periods}) · ${SYMBOL[along]} = ${number(event[along], 7)} · φ = ${number(time, 6)} rad`;
 
 /** The motion that begins on a cycle, or next to an event. */
-export const startOn = (place, { gamma, periods, flight_time: time, start }) => (start ? startOn(place, start) : { ...place, gamma, direction: startName("cycle", periods, time) });
+export const startOn = (place, cycle, along = "gamma") => (cycle.start ? startOn(place, cycle.start, along)
+  : { ...place, [along]: cycle[along], direction: startName("cycle", cycle.periods, cycle.flight_time) });
 
 export const branchLegend = (plate = "") => [["stable", STABLE], ["unstable", UNSTABLE]].map(([name, { width, dash }]) =>
   [name + plate, (ctx, x, y, theme) => legendLine(ctx, theme.branch, width, x, y, dash)]);
