@@ -56,7 +56,7 @@ def thresholds_of(
             answer = answer._replace(jump=_jump(lines[0]))
         below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
         minima = [fold for fold in (fold_of(x) for x in below if x.kind is Kind.FOLD) if fold.curvature > 0.0]
-        folds += [fold for fold in minima if not fold.holds]
+        folds += minima  # a stable stretch beside one may have no point of the branch
         unmatched = (
             x for x in ideal_folds if all(abs(x.gamma - fold.gamma) >= _NEAR * x.gamma for fold in minima)
         )

@@ -9,6 +9,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from kernel.cycles.any_contact import up_to_shorter
 from kernel.cycles.changes import doubled
 from kernel.cycles.cycles import Cycles, Point
 from kernel.cycles.energy import cycle_energy
@@ -96,13 +97,14 @@ def ended(event: Event) -> Descent:
 def folds_of_twice(flip: Point, below: float) -> list[Fold]:
     """The folds at which stable cycles of twice the period end, on the branch that begins at a flip.
 
-    below: the branch is followed, with its unstable parts, as long as it stays below this Gamma.
+    below: the branch is followed, with its unstable parts, as long as it stays below this Gamma, and to where
+    it leads back to cycles of the period.
     """
     first = doubled(flip)
     if first is None:
         return []
-    _, events = follow(first, 0.0, points=_POINTS, span=(0.0, below))
-    folds = [fold_of(event) for event in events if event.kind is Kind.FOLD]
+    line = up_to_shorter(follow(first, 0.0, points=_POINTS, span=(0.0, below)))
+    folds = [fold_of(event) for event in line.events if event.kind is Kind.FOLD]
     return [fold for fold in folds if fold.curvature > 0.0 and fold.holds]
 
 

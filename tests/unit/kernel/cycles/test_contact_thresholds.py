@@ -15,6 +15,7 @@ TABLE = [
     (soft(adhesive=False), 0.60, 0.05, 0.553238870182, 0.915985867041),
     (rigid(0.5), 0.66, 0.05, 0.695395334976, 0.805215730572),
     (rigid(0.9), 0.60, 0.05, 0.393179810088, math.nan),  # of three hops, never stuck
+    (rigid(0.875), 0.62, 0.05, 0.447349850115, math.nan),  # stable up to a flip, Gamma = 0.44751
 ]
 
 
@@ -25,6 +26,11 @@ def test_bouncing_ends_at_the_lowest_fold(plate, omega, xi, down, jump):
     assert answer.down == pytest.approx(down, abs=1e-9)
     assert answer.fold.gamma == answer.down
     assert answer.jump == pytest.approx(jump, abs=1e-9, nan_ok=True)
+
+
+def test_a_fold_is_of_its_shortest_cycle():
+    """A branch of twice the period leads back to that of the period, and to its folds."""
+    assert thresholds_of(rigid(0.86), 0.62, 0.05).cause == "fold (4,1)"
 
 
 def test_bouncing_ends_with_rest_where_no_fold_is_below():
