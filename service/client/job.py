@@ -138,43 +138,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         return self._post("resume")
 
-    def refine(
-        self,
-        gamma: tuple[float, float] | None = None,
-        omega: tuple[float, float] | None = None,
-        xi: float | None = None,
-        *,
-        finer: int = 4,
-        by: str = "mode",
-    ) -> "Job":
-        """Submit an adaptive sweep of a window of this sweep's map.
-
-        Parameters
-        ----------
-        gamma, omega
-            Ends of the window; None for the whole axis.
-        xi
-            Selects the nearest grid value; None if there is only one.
-        finer
-            How many times as fine as the map's grid.
-        by
-            "mode" or "bouncing".
-
-        Returns
-        -------
-        Job
-            The new job, whose `spec["parent"]` is this job's id.
-
-        Raises
-        ------
-        InvalidSpecification
-            Names the field.
-        TooLarge, Busy
-        """
-        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by}
-        response = self._transport.post(self._path("refine"), body(fields))
-        return Job(self._transport, json_object(response), response)
-
     def _post(self, action: str, content: bytes | None = None) -> "Job":
         response = self._transport.post(self._path(action), content)
         self._describe(json_object(response), response)

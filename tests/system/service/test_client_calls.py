@@ -205,13 +205,6 @@ def test_trajectory(running: Running, tmp_path: Path):
     assert from_json(text.encode()).identical(running.client.trajectory({**cell, "start": start}))
 
 
-def test_a_window_of_a_job_is_refined(running: Running):
-    job = running.client.submit(PLANE | {"protocol": {"kind": "rest"}}).wait(progress=False)
-    window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)
-    assert window.spec["parent"] == job.id != window.id
-    assert "computed" in window.modes()
-
-
 def test_pinned_jobs_are_listed_apart(idle: Running):
     job = idle.client.submit(sweep("pinned", xi=0.6))
     assert len(output_of(idle, "list", "--pinned").splitlines()) == 1
