@@ -12,7 +12,7 @@ from service.client import errors
 from service.client.display import display_job, job_html, summary
 from service.client.models import JobStatus
 from service.client.specification import body
-from service.client.transport import ASK_DELAY, Transport, json_object, outlast, retry_after
+from service.client.transport import Transport, json_object, outlast, retry_after
 from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
 from worker.spec.errors import BounceError
@@ -146,33 +146,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
     def delete(self) -> None:
         """Delete the job and its results. Raises Conflict while it is queued or running."""
         self._transport.delete(self._path())
-
-    def follow(self) -> "Iterator[Job]":
-        """Yield this job now and after every change until it is finished; the service pushes the changes.
-
-        Raises
-        ------
-        Busy
-            The service has too many listeners.
-        NotFound
-            The job was deleted.
-        ServiceUnreachable
-            No answer for 30 seconds.
-        """
-        while True:
-            for _ in self._events():
-                self._refresh_in_time()
-                yield self
-            if self.finished:
-                return
-            self._refresh_in_time()  # the job was deleted, or the service stopped
-
-    def _events(self) -> Iterator[object]:
-        """The changes that the service pushes, until it stops or dies."""
-        try:
-            yield from self._transport.events(self._path("events"))
-        except errors.ServiceUnreachable:
-            time.sleep(ASK_DELAY)
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ from studies import spec_of
 
 from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
-from service.client.display import summary
 
 TOKEN = "a-token-of-thirty-two-characters"
 
@@ -74,15 +72,15 @@ def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     assert len(list(idle.client.jobs())) == before
 
 
-def test_a_budget_and_an_effort_on_the_command_line(tmp_path: Path):
+def test_an_effort_on_the_command_line(tmp_path: Path):
     file = tmp_path / "sweep.json"
     windows = {"settle", "observe"}
     file.write_text(json.dumps({name: x for name, x in PLANE.items() if name not in windows} | {"xi": 0.3}))
     with computing_at(tmp_path, token=TOKEN) as address, Client(address, TOKEN) as client:
         own = Running(address, client, client.submit(PLANE))
-        done = output_of(own, "submit", str(file), "--budget", "120s", "--effort", "draft")
+        done = output_of(own, "submit", str(file), "--effort", "draft")
         job = client.job(done.strip())
-    assert (job.state, job.spec["until"], job.spec["observe"]) == ("done", 260, 30)
+    assert (job.spec["until"], job.spec["observe"]) == (260, 30)
     assert "effort" not in job.spec
 
 
@@ -149,26 +147,6 @@ def test_resume_and_delete(idle: Running):
     with pytest.raises(NotFound):
         job.refresh()
     assert "no job has the id" in bounce(idle, "delete", job.id).stderr
-
-
-def test_follow_ends_with_the_job(tmp_path: Path):
-    held = Held()
-    with service_at(tmp_path, held) as address, Client(address) as client, ThreadPoolExecutor(1) as pool:
-        job = client.submit(sweep())
-        wait_for(lambda: held.held() > 0)
-        states = []
-        for now in job.follow():
-            if not states:
-                computing = pool.submit(held.let_go_until, lambda: client.job(job.id).state == "done")
-            states.append((now.state, now.progress.chunks_done))
-        computing.result()
-        assert states[-1] == ("done", job.progress.chunks_total)
-        assert states == sorted(states, key=lambda state: state[1])
-        assert job.spec["gamma"]["num"] == 60
-        followed = bounce(Running(address, client, job), "follow", job.id)
-        assert (followed.stdout, followed.stderr) == ("", f"{summary(job)}\n")
-        (line,) = output_of(Running(address, client, job), "follow", job.id, "--json").splitlines()
-        assert json.loads(line)["state"] == "done"
 
 
 def test_export(running: Running, tmp_path: Path):
