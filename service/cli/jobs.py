@@ -58,7 +58,7 @@ def submit(
 ) -> None:
     """Submit a sweep and print its job id.
 
-    SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
+    SPEC is a .json or .toml file, or - for JSON on standard input. The same sweep is always the same
     job: one that is done is not computed again, one that failed or was cancelled continues.
     """
     from service.cli import output

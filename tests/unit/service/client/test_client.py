@@ -91,7 +91,7 @@ def test_a_bad_specification_names_field_and_rule(client: Client, change: dict, 
     ("name", "content", "word"),
     [
         ("missing.json", None, "No such file"),
-        ("sweep.txt", b"gamma: 1", r"\.json, \.toml, \.yaml or \.yml"),
+        ("sweep.txt", b"gamma: 1", r"\.json or \.toml"),
         ("broken.json", b'{"gamma": ', "not JSON"),
         ("twice.json", b'{"xi": 1, "xi": 2}', "twice"),
     ],
