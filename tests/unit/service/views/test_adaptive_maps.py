@@ -37,17 +37,6 @@ def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     assert client.get(f"{adaptive}/modes?min_flight=0.05").status_code == 200
 
 
-def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClient, full: str, adaptive: str):
-    whole, part = (read(client, f"{job}/threshold") for job in (full, adaptive))
-    assert "up_computed" not in whole
-    between = np.array(part["up_computed"])
-    found = np.array(part["up_status"]) == "found"
-    assert between[found].mean() > 0.9
-    assert not between[~found].any()
-    for name in ("up", "up_status"):
-        assert np.array_equal(np.array(whole[name])[between], np.array(part[name])[between])
-
-
 def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full: str, adaptive: str):
     def refined(job: str) -> Any:
         path = f"{job}/threshold?tolerance=0.001"
@@ -57,7 +46,6 @@ def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full:
     whole, part = refined(full), refined(adaptive)
     np.testing.assert_array_equal(part.up_status, whole.up_status)
     np.testing.assert_array_equal(part.up, whole.up)
-    assert part.up_computed.values[part.up_status.values == "found"].all()
 
 
 def test_a_map_of_a_hundred_million_cells_is_planned_in_little_memory(tmp_path: Path):

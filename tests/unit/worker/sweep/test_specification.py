@@ -385,15 +385,6 @@ def test_unreadable_file_says(tmp_path, name, content, expected):
     assert expected in str(caught.value)
 
 
-@for_each("name", [LONG_KEY[:199], "a.b.c.d.e.f.g.h.i.j.k.l.m.n.o.p.q.r.s # x"])
-@for_each("quote", ['"', "'", 3 * '"', 3 * "'"])
-def test_dots_in_strings_and_comments_are_no_keys(tmp_path, name, quote):
-    line = f"name = {quote}{name}{quote}  # {LONG_KEY}"
-    (tmp_path / "a.toml").write_text(f"{line}\ngamma = 1.5\nomega = 1.0\nxi = 0.5\nmodel.kind = 'rigid'\n")
-    spec = SweepSpec.from_file(tmp_path / "a.toml")
-    assert (spec.name, spec.model.kind) == (name, "rigid")
-
-
 def test_a_pile_of_combining_marks_is_refused():
     fields, label = {"gamma": 1.0, "omega": 1.0, "xi": 0.5}, TypeAdapter(Label)
     for name in ("Vie\u0302\u0323t e\u0301\u0302\u0323\u0324", "\u0915\u094d\u0937\u093f", "s\u0336t\u0336"):
