@@ -122,12 +122,6 @@ def test_the_shell_completes_commands_options_and_ids(running: Running):
     assert completions(running._replace(address="http://127.0.0.1:9"), "bounce status ") == []
 
 
-def test_the_script_of_a_shell():
-    done = CliRunner().invoke(main, ["completion", "bash"])
-    assert (done.exit_code, "_BOUNCE_COMPLETE" in done.stdout) == (0, True)
-    assert CliRunner().invoke(main, ["completion"]).exit_code == 2
-
-
 def test_watch_without_a_terminal_is_one_table(idle: Running):
     lines = output_of(idle, "watch").splitlines()
     assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
