@@ -212,22 +212,21 @@ class Job(ResultReader, ResultMethods, JobStatus):
         self._transport.download(self._path("export"), {"format": "html"}, target, points.encode())
         return target
 
-    def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
+    def open(self, chunks: Any = None) -> "xarray.Dataset":
         """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.
 
         chunks: as `xarray.open_zarr` takes it; `{}` for dask arrays with the chunks that are stored. Such a
         Dataset can be sent to workers of a Dask cluster, with the address of the service and the token.
-        direct: whether to read chunks where the service has them (`store_url`), if that can be read from
-        here; by default with `chunks`. Damage that is read directly is not reported to the service.
         """
         from service.client.zarr_store import open_store
 
-        direct = chunks is not None if direct is None else direct
-        return open_store(self._transport, self._path("zarr"), self.id, chunks=chunks, direct=direct)
+        return open_store(self._transport, self._path("zarr"), self.id, chunks=chunks)
 
     @property
     def store_url(self) -> str:
         """Where the service has the store: a folder of its machine, or s3://BUCKET/PREFIX.
+
+        `xarray.open_zarr` reads it there, if this machine can. Damage is not reported to the service then.
 
         Raises StoreUnreachable, UnexpectedAnswer.
         """
