@@ -2,8 +2,8 @@
 
     from bouncing_spring import Client, run, thresholds
 
-Has all names of `service.client`, with the classes of a sweep and its errors. Importing this module loads no
-numerical library.
+Has all names of `service.client`, and the classes of a sweep. Importing this module loads no numerical
+library.
 """
 
 from importlib import import_module
@@ -36,9 +36,24 @@ if TYPE_CHECKING:
     from service.figures.catalogue import figure as figure
     from service.local import run as run
     from service.local import thresholds as thresholds
+    from worker.spec.axes import Range as Range
+    from worker.spec.contact_models import Auto as Auto
+    from worker.spec.contact_models import Ball as Ball
+    from worker.spec.contact_models import Rigid as Rigid
+    from worker.spec.contact_models import Soft as Soft
+    from worker.spec.contact_models import Stepped as Stepped
+    from worker.spec.refine import Refine as Refine
+    from worker.sweep import SweepSpec as SweepSpec
+    from worker.sweep.protocols import OnCycle as OnCycle
+    from worker.sweep.protocols import Ramp as Ramp
+    from worker.sweep.protocols import Rest as Rest
 
+#: The modules of names that load numerical libraries.
 _OTHERS: Final = {
     "figure": "service.figures.catalogue", "run": "service.local", "thresholds": "service.local",
+    "Range": "worker.spec.axes", "Refine": "worker.spec.refine", "SweepSpec": "worker.sweep",
+    **dict.fromkeys(("Auto", "Ball", "Rigid", "Soft", "Stepped"), "worker.spec.contact_models"),
+    **dict.fromkeys(("OnCycle", "Ramp", "Rest"), "worker.sweep.protocols"),
 }  # fmt: skip
 __all__ = [*_client.__all__, *_OTHERS]  # noqa: PLE0604
 

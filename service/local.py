@@ -95,7 +95,7 @@ def run(
     Parameters
     ----------
     spec
-        A mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file.
+        A mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
     store
         Folder for the study's zarr store, which appears once complete; the Dataset then reads values when
         they are used. A complete store of the same study is returned. Without a store, the results are held

@@ -54,16 +54,6 @@ def _hosts(values: frozenset[str]) -> frozenset[str]:
     return values
 
 
-def _origins(values: frozenset[str]) -> frozenset[str]:
-    """Origins without a slash at the end. Raises ValueError for one that no browser sends."""
-    origins = frozenset(value.rstrip("/") for value in values)
-    for origin in origins:
-        parts = urlsplit(origin)
-        if f"{parts.scheme}://{parts.netloc}" != origin or parts.scheme not in ("http", "https"):
-            raise ValueError(f"{origin[:80]}: an origin is http(s)://HOST or http(s)://HOST:PORT")
-    return origins
-
-
 class Settings(BaseSettings):
     """Where the service listens, keeps data and computes, and how much one request may ask for."""
 
@@ -87,10 +77,6 @@ class Settings(BaseSettings):
     allowed_hosts: Annotated[Names, AfterValidator(_hosts)] = Field(
         frozenset(),
         description="Host names accepted beside loopback and `host`, separated by commas; `*` accepts any.",
-    )
-    cors_origins: Annotated[Names, AfterValidator(_origins)] = Field(
-        frozenset(),
-        description="Origins, separated by commas, whose web pages may read, such as `https://example.org`.",
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="Lowest level of messages that are logged."

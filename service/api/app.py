@@ -8,13 +8,12 @@ from operator import attrgetter
 from typing import Final
 
 from fastapi import Depends, FastAPI
-from starlette.middleware.cors import CORSMiddleware
 from starlette.staticfiles import StaticFiles
 
 from service.api import openapi, problems
 from service.api.capacity import Capacity
 from service.api.dependencies import Service, reject_repeated_parameters
-from service.api.middleware import CORS, Gate
+from service.api.middleware import Gate
 from service.api.monitoring import JobsCollector, Metrics
 from service.api.progress_stream import ProgressStream
 from service.api.routers import docs, health, jobs, page, results, views
@@ -90,8 +89,6 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
     app.mount("/static", StaticFiles(directory=page.FILES), name="static")
     problems.install(app)
     app.add_middleware(Gate, metrics=metrics, settings=settings, tokens=tokens)
-    if settings.cors_origins:
-        app.add_middleware(CORSMiddleware, allow_origins=settings.cors_origins, **CORS)
     app.openapi = openapi.kept_document(app, needs_token=bool(tokens))  # type: ignore[method-assign]
     return app
 

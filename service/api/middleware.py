@@ -12,7 +12,7 @@ import sys
 import time
 import uuid
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -51,28 +51,19 @@ _UNREAD: Final = frozenset({408, 413, 415})
 #: To a client whose request is cancelled by the shutdown, after `shutdown_seconds`.
 _STOPPING: Final = "the service stops: repeat the request"
 
-#: For starlette's CORSMiddleware: what web pages of the origins in the settings may send and read.
-CORS: Final[dict[str, Any]] = {
-    "allow_methods": ("GET", "HEAD"),
-    "allow_headers": ("Authorization", "Range", "If-None-Match", "Accept"),
-    "expose_headers": (
-        "Accept-Ranges", "Bounce-Complete", "Bounce-Store", "Content-Range", "ETag", "Link", "Retry-After",
-    ),
-}  # fmt: skip
-
 
 class Gate:
     """Middleware: refuses requests with the wrong Host, Origin or token; completes and logs every response.
 
-    `tokens`: names by token; if empty, no token is required. Web pages of the settings' `cors_origins` may
-    read and send a token, but change nothing. HEAD gets the answer of GET without its body, for every route.
+    `tokens`: names by token; if empty, no token is required. HEAD gets the answer of GET without its body,
+    for every route.
     """
 
     def __init__(
         self, app: ASGIApp, metrics: Metrics, settings: Settings, tokens: Mapping[str, str | None]
     ) -> None:
         self._app, self._metrics = app, metrics
-        self._hosts, self._origins = settings.hosts, settings.cors_origins
+        self._hosts = settings.hosts
         self._tokens = [(token.encode(), name) for token, name in tokens.items()]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -129,8 +120,6 @@ class Gate:
         """Add the headers of every response, and its tag if it has one."""
         for name, value in _HEADERS.items():
             answer.setdefault(name, value)
-        if self._is_reader(headers):
-            answer["Cross-Origin-Resource-Policy"] = "cross-origin"
         # a proxy may see another end of a request with both headers (RFC 9112, 6.1): it is the last one
         if status in _UNREAD or ("content-length" in headers and "transfer-encoding" in headers):
             answer["Connection"] = "close"
@@ -148,11 +137,6 @@ class Gate:
         level = logging.DEBUG if is_routine and status < 400 else logging.INFO
         log.log(level, "request", extra={"fields": fields | ({"job": job[:64]} if job else {})})
 
-    def _is_reader(self, headers: Headers) -> bool:
-        """Whether the request is from a web page of an origin in the settings."""
-        origins = headers.getlist("origin")
-        return len(origins) == 1 and origins[0] in self._origins
-
     def _check(self, method: str, path: str, headers: Headers) -> str | None:
         """The name of the request's token, if one is required and has a name."""
         self._check_host(headers.getlist("host"))
@@ -164,7 +148,7 @@ class Gate:
             # Tags of jobs are weak: by RFC 9110, 13.1.1 none matches.
             if headers.get("if-match", "*").strip() != "*":
                 raise HTTPException(412, "If-Match: changes depend on no tag: leave the header out")
-        elif not (same_site or self._is_reader(headers) or _is_navigation(headers)):
+        elif not (same_site or _is_navigation(headers)):
             raise HTTPException(
                 403, "Sec-Fetch-Site: web pages of another origin may link to this, not load it"
             )

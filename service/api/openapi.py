@@ -18,7 +18,6 @@ from service.api.middleware import OPEN_PATHS
 from service.api.schemas import NewName, ProblemDocument
 from service.views.trajectory import TrajectorySpec
 from worker.basins.specification import BasinSpec, MultistabilitySpec
-from worker.maps.window import Window
 from worker.orbits.specification import OrbitsSpec
 from worker.sweep import SweepSpec
 
@@ -63,7 +62,6 @@ EXAMPLES: Final[dict[type[BaseModel], dict[str, Any]]] = {
         "model": {"kind": "rigid"},
     },
     NewName: {"name": "up and down, again"},
-    Window: {"gamma": [1.0, 1.5], "omega": [0.4, 0.5], "finer": 4},
     TrajectorySpec: {"gamma": 1.2, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "periods": 2},
 }
 

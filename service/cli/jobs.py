@@ -1,4 +1,4 @@
-"""The commands on jobs: submit, run, status, wait, watch, follow, cancel, resume, delete, list."""
+"""The commands on jobs: submit, run, status, wait, watch, cancel, resume, delete, list."""
 
 import json
 import sys
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
-_BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h."
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 _effort_option: Final = click.option(
@@ -48,7 +47,6 @@ _effort_option: Final = click.option(
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
 @_effort_option
-@click.option("--budget", type=DURATION, help=_BUDGET)
 @with_client
 def submit(
     client: "Client",
@@ -57,29 +55,17 @@ def submit(
     estimate: bool,
     key: str | None,
     effort: str | None,
-    budget: float | None,
 ) -> None:
     """Submit a sweep and print its job id.
 
-    SPEC is a .json, .toml or .yaml file, or - for JSON on standard input. The same sweep is always the same
+    SPEC is a .json or .toml file, or - for JSON on standard input. The same sweep is always the same
     job: one that is done is not computed again, one that failed or was cancelled continues.
-    With --budget the jobs are levels from coarse to fine; the id is that of the last one that is done.
     """
     from service.cli import output
 
-    for option, given in (("--key", key is not None), ("--estimate", estimate)):
-        if budget is not None and given:
-            raise click.UsageError(f"{option} is of one job, and --budget submits several: give one")
     specification = _specification(spec, effort)
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
-        return
-    if budget is not None:
-        try:
-            click.echo(client.run(specification, budget=budget).id)
-        except SystemExit as end:  # by a signal
-            click.echo("\n".join(getattr(end, "__notes__", ())), err=True)
-            raise
         return
     job = client.submit(specification, key=key)
     click.echo(job.id)
@@ -94,7 +80,9 @@ def submit(
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
 @_effort_option
-@click.option("--budget", type=DURATION, help=_BUDGET)
+@click.option(
+    "--budget", type=DURATION, help="Compute the finest level that fits into this time: 90s, 5m, 1h."
+)  # fmt: skip
 def run(
     spec: str,
     output: str,
@@ -197,17 +185,6 @@ def wait(job: "Job", timeout: float | None) -> None:
     The exit code is 0 if the job is done, 1 if it failed, was cancelled or the timeout expired.
     """
     _wait(job, timeout)
-
-
-@click.command()
-@click.option("--json", "as_json", is_flag=True, help="Print every event as a line of JSON.")
-@with_job
-def follow(job: "Job", as_json: bool) -> None:
-    """Print every change of a job until it is finished."""
-    from service.client.display import summary
-
-    for now in job.follow():
-        click.echo(json.dumps(now.view) if as_json else summary(now), err=not as_json)
 
 
 @click.command()
@@ -323,7 +300,7 @@ def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, 
 
 
 COMMANDS: Final = (
-    submit, plan, run, import_file, status, wait, watch, follow, cancel, resume, rename, delete, list_jobs,
+    submit, plan, run, import_file, status, wait, watch, cancel, resume, rename, delete, list_jobs,
 )  # fmt: skip
 
 

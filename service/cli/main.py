@@ -69,29 +69,6 @@ def serve(**options: str | int | None) -> None:
         embedded.serve(settings, announce)
 
 
-@main.command()
-@with_client
-def metrics(client: "Client") -> None:
-    """Print the service's metrics in Prometheus's text format."""
-    click.echo(client.metrics(), nl=False)
-
-
-@main.command()
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
-def completion(shell: str) -> None:
-    """Print a script that completes commands in a shell.
-
-    It completes commands, options and ids of jobs. For example, in ~/.bashrc:
-
-      eval "$(bounce completion bash)"
-    """
-    from click.shell_completion import get_completion_class
-
-    complete = get_completion_class(shell)
-    assert complete is not None
-    click.echo(complete(main, {}, "bounce", "_BOUNCE_COMPLETE").source())
-
-
 @main.command("open")
 @click.option("--print", "print_only", is_flag=True, help="Print the address, with the token, instead.")
 @with_client
@@ -127,7 +104,7 @@ GROUPS: Final = {
     "Sweeps": {
         "submit": "sweep.toml --wait", "plan": "sweep.toml --budget 5m", "run": "sweep.toml -o sweep.zarr",
         "import": "sweep.html", "list": "--state done", "status": "ID", "wait": "ID", "watch": "",
-        "follow": "ID", "cancel": "ID", "resume": "ID", "rename": 'ID "up and down"', "delete": "ID",
+        "cancel": "ID", "resume": "ID", "rename": 'ID "up and down"', "delete": "ID",
     },
     "Results": {
         "diagram": "ID --omega 0.5 -o diagram.png", "modes": "ID -o map.png",
@@ -141,10 +118,10 @@ GROUPS: Final = {
         "curves": "--xi 0.05 --omega-start 0.58 --omega-stop 0.64",
         "trajectory": "--gamma 2.3 --omega 0.5 --xi 0.26 -o motion.csv",
     },
-    "Service": {"serve": "--workers 4", "open": "", "metrics": "", "doctor": ""},
+    "Service": {"serve": "--workers 4", "open": "", "doctor": ""},
     "Upkeep": {
         "backup": "ledger-backup.sqlite", "restore": "ledger-backup.sqlite", "adopt": "--all",
-        "tradeoff": "-o tradeoff.png", "completion": "bash",
+        "tradeoff": "-o tradeoff.png",
     },
 }  # fmt: skip
 

@@ -3,10 +3,9 @@
 import math
 import os
 import re
-import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from datetime import datetime
 from functools import partial
 from itertools import islice
@@ -16,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from service.client import errors
-from service.client.display import PartsCallback, display_line, display_parts
-from service.client.job import FIRST_DELAY, Job, ResultReader, raise_unless_done, until_ended
+from service.client.display import PartsCallback
+from service.client.job import Job, ResultReader, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
 from service.client.transport import MAX_OUTAGE, Transport, header_value, json_object, outlast
@@ -98,7 +97,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         Parameters
         ----------
         spec
-            A mapping, a `worker.spec.SweepSpec`, or the path of a .json, .toml or .yaml file.
+            A mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
         key
             Idempotency key: a repeated request changes nothing, whatever happened to the job since.
 
@@ -129,82 +128,6 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             content = file.read(MOST_SHARED + 1)  # one more is refused
         headers = {"Content-Type": "application/octet-stream"}
         response = self._transport.post("/v1/imports", content, headers=headers, waits=True)
-        return Job(self._transport, json_object(response), response)
-
-    def run(self, spec: Specification, *, budget: float, progress: bool = True) -> Job:
-        """Compute the finest level of a sweep that fits into a time, and audit it.
-
-        The service computes levels, sweeps from coarse to fine, one after another, also if this client goes
-        away: plain jobs, whose results can be read while the next one is computed. One that does not end in
-        time is cancelled.
-
-        Parameters
-        ----------
-        spec
-            A sweep, as for `submit`.
-        budget
-            Seconds for all of it, waiting for workers included.
-        progress
-            Whether levels and their progress are written to standard error.
-
-        Returns
-        -------
-        Job
-            The last level that is done; `job.audit()` says at once how wrong it is, if the time sufficed.
-
-        Raises
-        ------
-        InvalidSpecification
-            The time is too short for any level. Also raises as `submit` and `Job.wait`.
-        """
-        ends = time.monotonic() + budget
-        levels, doing = [self._begin(spec, budget)], ""
-        earlier: list[Job] = []  # levels of a service that ended meanwhile
-        try:
-            while True:
-                last = levels[-1]
-                try:
-                    last._refresh_in_time()
-                except errors.NotFound:  # it was deleted; another level says how far the budget is
-                    levels.pop()
-                    if not levels:
-                        raise
-                    continue
-                reached = last.view.get("budget")
-                if reached is None:  # the service began anew, without the budget
-                    earlier = levels[:]
-                    try:
-                        levels.append(outlast(partial(self._begin, spec, ends - time.monotonic()), busy=0.0))
-                    except (errors.InvalidSpecification, errors.Busy):  # no other level fits
-                        return _finest_done(levels) or last.wait(progress)
-                    continue
-                if progress and reached["doing"] != doing:
-                    doing = reached["doing"]
-                    display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
-                if reached["over"]:
-                    break
-                # a job that others want goes on beyond its time
-                with suppress(errors.JobCancelled, errors.JobFailed, errors.WaitTimeout, errors.NotFound):
-                    if reached["computing"] not in (None, last.id):
-                        last = outlast(partial(self.job, reached["computing"]))
-                        levels.append(last)
-                    if not last.finished:
-                        last.wait(progress, timeout=reached["seconds_left"])
-                time.sleep(FIRST_DELAY)
-        except (KeyboardInterrupt, SystemExit) as interrupt:
-            interrupt.add_note(f"stopped waiting; the budget goes on (end it with: bounce cancel {last.id})")
-            raise
-        done = [] if reached["answer"] is None else [outlast(partial(self.job, reached["answer"]))]
-        done += filter(None, [_finest_done(earlier)])
-        if done:
-            return max(done, key=_cells)
-        if last.state == "failed":
-            raise errors.JobFailed(last)
-        raise errors.InvalidSpecification.before_sending(reached["error"])
-
-    def _begin(self, spec: Specification, budget: float) -> Job:
-        """The first level of a budget. Raises as `run`."""
-        response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
         return Job(self._transport, json_object(response), response)
 
     def estimate(self, spec: Specification) -> Estimate:
@@ -319,42 +242,6 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         """
         return until_ended(jobs, timeout)
 
-    def wait_all(
-        self, jobs: "Iterable[Job | str]", timeout: float | None = None, progress: bool | PartsCallback = True
-    ) -> list[Job]:
-        """Wait until all jobs have ended.
-
-        Parameters
-        ----------
-        jobs
-            The jobs to wait for, or their ids.
-        timeout
-            Seconds for all of them together.
-        progress
-            True writes to standard error how many have ended; a function is called with that number and the
-            total.
-
-        Returns
-        -------
-        list[Job]
-            The jobs in the order given.
-
-        Raises
-        ------
-        JobFailed, JobCancelled
-            For the first job that is not done.
-        WaitTimeout, ServiceUnreachable
-            As for `Job.wait`.
-        """
-        all_jobs = [self.job(job) if isinstance(job, str) else job for job in jobs]
-        show = display_parts(progress, "ended", "jobs")
-        show(0, len(all_jobs))
-        for ended, _ in enumerate(until_ended(all_jobs, timeout), 1):
-            show(ended, len(all_jobs))
-        for job in all_jobs:
-            raise_unless_done(job)
-        return all_jobs
-
     def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
         """Submit specifications and yield their jobs in order, each once it has ended.
 
@@ -447,10 +334,6 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     def _path(self, *parts: str) -> str:
         return "/".join(("/v1", *parts))
 
-    def metrics(self) -> str:
-        """The service's metrics in Prometheus's text format."""
-        return self._transport.get("/metrics").text
-
     def close(self) -> None:
         """Close the connections. Jobs continue."""
         self._transport.close()
@@ -460,20 +343,6 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
     def __repr__(self) -> str:
         return f"<Client {self.url}>"
-
-
-def _finest_done(levels: "Iterable[Job]") -> Job | None:
-    """The finest level of a budget that is done, if any."""
-    done = []
-    for level in levels:
-        with suppress(errors.NotFound):  # it was deleted
-            level._refresh_in_time()
-            done.append(level)
-    return max((level for level in done if level.state == "done"), key=_cells, default=None)
-
-
-def _cells(level: Job) -> int:
-    return level.progress.cells_total
 
 
 def _not_found(detail: str) -> errors.NotFound:

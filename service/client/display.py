@@ -66,10 +66,8 @@ def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterat
         shown.join()
 
 
-def display_parts(
-    progress: bool | PartsCallback, verb: str = "computed", parts: str = "parts"
-) -> PartsCallback:
-    """A function that shows an answer in parts, or several jobs: a line first, then every `LINE_PERCENT`."""
+def display_parts(progress: bool | PartsCallback) -> PartsCallback:
+    """A function that shows an answer in parts: a line first, then every `LINE_PERCENT`."""
     if callable(progress):
         return progress
     last: int | None = None
@@ -78,7 +76,7 @@ def display_parts(
         nonlocal last
         if progress and (last is None or (done - last) * 100.0 >= LINE_PERCENT * total):
             last = done
-            display_line(f"{verb} {done} of {total} {parts}")
+            display_line(f"computed {done} of {total} parts")
 
     return show
 

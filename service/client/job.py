@@ -12,7 +12,7 @@ from service.client import errors
 from service.client.display import display_job, job_html, summary
 from service.client.models import JobStatus
 from service.client.specification import body
-from service.client.transport import ASK_DELAY, Transport, json_object, outlast, retry_after
+from service.client.transport import Transport, json_object, outlast, retry_after
 from service.formats import EXPORTS, ExportLayout
 from service.result_methods import ResultMethods
 from worker.spec.errors import BounceError
@@ -138,43 +138,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         return self._post("resume")
 
-    def refine(
-        self,
-        gamma: tuple[float, float] | None = None,
-        omega: tuple[float, float] | None = None,
-        xi: float | None = None,
-        *,
-        finer: int = 4,
-        by: str = "mode",
-    ) -> "Job":
-        """Submit an adaptive sweep of a window of this sweep's map.
-
-        Parameters
-        ----------
-        gamma, omega
-            Ends of the window; None for the whole axis.
-        xi
-            Selects the nearest grid value; None if there is only one.
-        finer
-            How many times as fine as the map's grid.
-        by
-            "mode" or "bouncing".
-
-        Returns
-        -------
-        Job
-            The new job, whose `spec["parent"]` is this job's id.
-
-        Raises
-        ------
-        InvalidSpecification
-            Names the field.
-        TooLarge, Busy
-        """
-        fields = {"gamma": gamma, "omega": omega, "xi": xi, "finer": finer, "by": by}
-        response = self._transport.post(self._path("refine"), body(fields))
-        return Job(self._transport, json_object(response), response)
-
     def _post(self, action: str, content: bytes | None = None) -> "Job":
         response = self._transport.post(self._path(action), content)
         self._describe(json_object(response), response)
@@ -183,33 +146,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
     def delete(self) -> None:
         """Delete the job and its results. Raises Conflict while it is queued or running."""
         self._transport.delete(self._path())
-
-    def follow(self) -> "Iterator[Job]":
-        """Yield this job now and after every change until it is finished; the service pushes the changes.
-
-        Raises
-        ------
-        Busy
-            The service has too many listeners.
-        NotFound
-            The job was deleted.
-        ServiceUnreachable
-            No answer for 30 seconds.
-        """
-        while True:
-            for _ in self._events():
-                self._refresh_in_time()
-                yield self
-            if self.finished:
-                return
-            self._refresh_in_time()  # the job was deleted, or the service stopped
-
-    def _events(self) -> Iterator[object]:
-        """The changes that the service pushes, until it stops or dies."""
-        try:
-            yield from self._transport.events(self._path("events"))
-        except errors.ServiceUnreachable:
-            time.sleep(ASK_DELAY)
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).
@@ -276,22 +212,21 @@ class Job(ResultReader, ResultMethods, JobStatus):
         self._transport.download(self._path("export"), {"format": "html"}, target, points.encode())
         return target
 
-    def open(self, chunks: Any = None, direct: bool | None = None) -> "xarray.Dataset":
+    def open(self, chunks: Any = None) -> "xarray.Dataset":
         """The whole store as a lazy Dataset, read over the client's connection. Raises StoreUnreachable.
 
         chunks: as `xarray.open_zarr` takes it; `{}` for dask arrays with the chunks that are stored. Such a
         Dataset can be sent to workers of a Dask cluster, with the address of the service and the token.
-        direct: whether to read chunks where the service has them (`store_url`), if that can be read from
-        here; by default with `chunks`. Damage that is read directly is not reported to the service.
         """
         from service.client.zarr_store import open_store
 
-        direct = chunks is not None if direct is None else direct
-        return open_store(self._transport, self._path("zarr"), self.id, chunks=chunks, direct=direct)
+        return open_store(self._transport, self._path("zarr"), self.id, chunks=chunks)
 
     @property
     def store_url(self) -> str:
         """Where the service has the store: a folder of its machine, or s3://BUCKET/PREFIX.
+
+        `xarray.open_zarr` reads it there, if this machine can. Damage is not reported to the service then.
 
         Raises StoreUnreachable, UnexpectedAnswer.
         """

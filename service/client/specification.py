@@ -24,7 +24,7 @@ def body(spec: Specification) -> bytes:
     """The JSON body of a specification: a mapping (numpy values allowed), a `SweepSpec`, or a file's path.
 
     Raises InvalidSpecification naming the field for a number that is not finite or a value that JSON cannot
-    express, and naming the file if it cannot be read as JSON, TOML or YAML.
+    express, and naming the file if it cannot be read as JSON or TOML.
     """
     try:
         return json.dumps(_json_value(_content(spec), "")).encode()
@@ -36,7 +36,7 @@ def body(spec: Specification) -> bytes:
 
 
 def read(source: Path | bytes) -> Mapping[str, Any]:
-    """The object in a JSON, TOML or YAML file, or in JSON text. Raises InvalidSpecification."""
+    """The object in a JSON or TOML file, or in JSON text. Raises InvalidSpecification."""
     from worker.spec import errors, parsing
 
     prefix = "" if isinstance(source, bytes) else f"{source}: "

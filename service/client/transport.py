@@ -45,17 +45,11 @@ SHOWN_AFTER: Final = 2.0
 #: Seconds for which a wait outlasts a service that is away; a restarted one continues its jobs.
 MAX_OUTAGE: Final = 30.0
 
-#: Seconds without data before a stream of events counts as lost; the service sends a comment every 15 s.
-EVENTS_SECONDS: Final = 60.0
-
 #: Seconds without data before a download fails; the service writes the file before it sends it.
 DOWNLOAD_SECONDS: Final = 600.0
 
 #: Bytes of an answer after decompression; the service's own limit on all answers together is twice that.
 MAX_ANSWER_BYTES: Final = 256 * 2**20
-
-#: Bytes of one event of a stream, which describes a job's progress.
-MAX_EVENT_BYTES: Final = 2**20
 
 #: The connection broke: the request or its answer did not arrive.
 _CONNECTION_LOST: Final = (httpx2.NetworkError, httpx2.RemoteProtocolError)
@@ -204,13 +198,6 @@ class Transport:
                 raise NotComputedYet(done, total, timeout)
             time.sleep(_pause(retry_after(response), left))
 
-    def events(self, path: str) -> Iterator[dict[str, Any]]:
-        """The data of server-sent events, each a JSON object, as they arrive."""
-        with self._stream(path, None, EVENTS_SECONDS) as response:
-            for line in _lines(response):
-                if line.startswith(b"data: "):
-                    yield parse_object(line.removeprefix(b"data: "), response)
-
     def download(self, path: str, query: Query, target: Path, end: bytes = b"") -> None:
         """GET into the file `target`, which is replaced once the download and `end` after it are complete.
 
@@ -321,7 +308,10 @@ def _whole(response: httpx2.Response) -> httpx2.Response:
     for block in response.iter_bytes():
         content += block
         if len(content) > MAX_ANSWER_BYTES:
-            raise _too_long(response, MAX_ANSWER_BYTES)
+            raise UnexpectedAnswer(
+                f"{response.request.url} sends more than {MAX_ANSWER_BYTES // 2**20} MiB: not an answer of a "
+                "bounce service"
+            )
     of_transfer = ("content-encoding", "content-length", "transfer-encoding")
     headers = [pair for pair in response.headers.multi_items() if pair[0].lower() not in of_transfer]
     return httpx2.Response(
@@ -329,31 +319,10 @@ def _whole(response: httpx2.Response) -> httpx2.Response:
     )
 
 
-def _lines(response: httpx2.Response) -> Iterator[bytes]:
-    """The lines of a body as they arrive. Raises UnexpectedAnswer above MAX_EVENT_BYTES."""
-    last = b""
-    for block in response.iter_bytes():
-        *lines, last = (last + block).split(b"\n")
-        yield from (line.rstrip(b"\r") for line in lines)
-        if len(last) > MAX_EVENT_BYTES:
-            raise _too_long(response, MAX_EVENT_BYTES)
-
-
-def _too_long(response: httpx2.Response, limit: int) -> UnexpectedAnswer:
-    return UnexpectedAnswer(
-        f"{response.request.url} sends more than {limit // 2**20} MiB: not an answer of a bounce service"
-    )
-
-
 def json_object(response: httpx2.Response) -> dict[str, Any]:
     """The JSON object in the body. Raises UnexpectedAnswer for any other body."""
-    return parse_object(response.content, response)
-
-
-def parse_object(text: bytes, response: httpx2.Response) -> dict[str, Any]:
-    """A JSON object that is part of a response. Raises UnexpectedAnswer for any other text."""
     try:
-        content = json.loads(text)
+        content = json.loads(response.content)
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):

@@ -4,20 +4,17 @@ import asyncio
 import json
 import os
 from collections.abc import Iterable, Iterator
-from datetime import timedelta
 from http import HTTPStatus
 from itertools import islice
 from math import prod
-from pathlib import Path
 from typing import Any, Final
 from urllib.parse import unquote_to_bytes
 
 import numpy as np
 import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
-from zarr.core.buffer import Buffer, BufferPrototype, default_buffer_prototype
-from zarr.core.sync import sync
-from zarr.storage import LocalStore, MemoryStore, ObjectStore, WrapperStore
+from zarr.core.buffer import Buffer, BufferPrototype
+from zarr.storage import MemoryStore, WrapperStore
 
 from service.client import dataset  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import NotFound, Refused, StoreUnreachable, UnexpectedAnswer
@@ -35,21 +32,15 @@ MAX_COORDINATE: Final = 1_000_000
 #: Maximum values of a chunk, which is decoded whole; ours have up to 96 MiB.
 MAX_CHUNK: Final = 256 * 2**20
 
-#: A bucket that does not answer soon is not read directly.
-_FEW_RETRIES: Final[Any] = {"max_retries": 1, "retry_timeout": timedelta(seconds=2)}
 
-
-def open_store(
-    transport: Transport, path: str, job_id: str, *, chunks: Any = None, direct: bool = False
-) -> xarray.Dataset:
+def open_store(transport: Transport, path: str, job_id: str, *, chunks: Any = None) -> xarray.Dataset:
     """The store at `path` as a lazy Dataset: values are read when used. Raises StoreUnreachable.
 
-    chunks: as in `xarray.open_zarr`. direct: read chunks at the store's own address, if this machine can.
-    Raises UnexpectedAnswer for a store that the service cannot have written.
+    chunks: as in `xarray.open_zarr`. Raises UnexpectedAnswer for a store that the service cannot have
+    written.
     """
-    address = store_url(transport, path, job_id) if direct else None
     try:
-        store = HTTPStore(transport, path, address)
+        store = HTTPStore(transport, path)
         dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks, zarr_format=3)
     except (FileNotFoundError, ValueError) as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
@@ -79,36 +70,15 @@ def store_url(transport: Transport, path: str, job_id: str) -> str:
 class HTTPStore(WrapperStore[Store]):
     """A read-only zarr store: a key is a path below one address of the service.
 
-    address: the service's address of the store; chunks are read there if this machine finds the same store.
-    The arrays' metadata always come from the service, as they determine how chunks are decoded.
     Pickled, it contains the service's address and the token.
     """
 
-    def __init__(self, transport: Transport, path: str, address: str | None = None) -> None:
-        self._transport, self._path, self._address = transport, path, address
-        direct = None if address is None else self._same_store(address)
-        self.reads_directly = direct is not None
-        super().__init__(direct or MemoryStore(read_only=True))
+    def __init__(self, transport: Transport, path: str) -> None:
+        self._transport, self._path = transport, path
+        super().__init__(MemoryStore(read_only=True))  # for what zarr's interface asks beside
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return HTTPStore, (self._transport, self._path, self._address)
-
-    def _same_store(self, address: str) -> Store | None:
-        """The store at an address, if it is the job's; None if it cannot be read from here."""
-        try:
-            if address.startswith("s3://"):
-                from obstore.store import S3Store
-
-                bucket = S3Store.from_url(address, retry_config=_FEW_RETRIES)
-                store: Store = ObjectStore(bucket, read_only=True)
-            else:
-                if not Path(address, _METADATA).is_file():
-                    return None  # another machine's folder; zarr would wait for a pipe
-                store = LocalStore(address, read_only=True)
-            root = sync(store.get(_METADATA, default_buffer_prototype()))
-        except Exception:  # noqa: BLE001 - another machine's folder, no obstore, no key of the bucket
-            return None
-        return store if root is not None and root.to_bytes() == self._fetch(_METADATA) else None
+        return HTTPStore, (self._transport, self._path)
 
     def __eq__(self, other: object) -> bool:
         return self is other
@@ -122,10 +92,6 @@ class HTTPStore(WrapperStore[Store]):
         self, key: str, prototype: BufferPrototype, byte_range: ByteRequest | None = None
     ) -> Buffer | None:
         """The value of a key, or a part of it; None if there is none."""
-        if self.reads_directly and not key.endswith(_METADATA):
-            value = await super().get(key, prototype, byte_range)
-            if value is not None:  # else the service knows whether the job was deleted
-                return value
         content = await asyncio.to_thread(self._fetch, key, byte_range)
         return None if content is None else prototype.buffer.from_bytes(content)
 

@@ -6,9 +6,7 @@ block.
 
 import errno
 import gc
-import http.client
 import importlib
-import json
 import os
 import signal
 import socket
@@ -26,7 +24,7 @@ from distributed import Security
 from pydantic import SecretStr
 
 from service import tokens
-from service.api.app import TITLE, create_app
+from service.api.app import create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotComputed, NotStarted
 from service.jobs.stores.opening import open_ledger
@@ -46,10 +44,6 @@ _SWITCH_SECONDS: Final = 0.001
 #: Permissions that the files of a private service lack: all of group and others.
 _PRIVATE_UMASK: Final = 0o077
 _TOKEN_VARIABLE: Final = "BOUNCE_TOKEN"
-
-#: Limits on asking the program that has the port: seconds for each piece, bytes of its answer.
-_ANSWER_SECONDS: Final = 2.0
-_MOST_BYTES: Final = 4_000_000
 
 
 @contextmanager
@@ -192,7 +186,7 @@ def _bound(settings: Settings) -> socket.socket:
     except OSError as error:
         reason = error.strerror or str(error)
         if error.errno == errno.EADDRINUSE:
-            reason = f"{_who_answers(host, port, settings.data)} has it; take another one with --port"
+            reason = "another program has it; take another one with --port"
         raise NotStarted(f"cannot listen on {host} port {port}: {reason}") from error
     # Connections inherit it; without it, delayed acknowledgements slow each response by 40 ms.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -209,30 +203,6 @@ def _opened(settings: Settings) -> str:
         for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
             file.chmod(PRIVATE_FILE)
     return marker
-
-
-def _who_answers(host: str, port: int, data: Path) -> str:
-    """The program that listens on a local port: a service, with its release and data folder, or another."""
-    host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-    token = tokens.find_token(port, data) or tokens.find_token(port)
-    try:
-        with closing(http.client.HTTPConnection(host, port, timeout=_ANSWER_SECONDS)) as connection:
-            info = _answer(connection, "/openapi.json", None)["info"]
-            if info["title"] != TITLE:
-                return "another program"
-            folder = _answer(connection, "/v1/software", token).get("data")
-            where = f"data in {folder}" if folder else "data in a folder shown to owners of its token"
-            return f"a bouncing-spring service (release {info['version']}, {where})"
-    except OSError:
-        return "a program that does not answer"
-    except (http.client.HTTPException, ValueError, LookupError, TypeError, RecursionError):
-        return "another program"
-
-
-def _answer(connection: http.client.HTTPConnection, path: str, token: str | None) -> Any:
-    """The JSON answer of a port of this machine. Raises OSError, HTTPException, ValueError."""
-    connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
-    return json.loads(connection.getresponse().read(_MOST_BYTES))
 
 
 def connected_cluster(settings: Settings, marker: str) -> Dask:

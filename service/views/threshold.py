@@ -29,7 +29,6 @@ from worker.analysis.prediction import (
     prediction_seconds,
     search_each,
 )
-from worker.study.layout import COMPUTED
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
 
@@ -70,7 +69,6 @@ _ROWS: Final = (
     row("down_status", (), "U", "why down is a number or NaN"),
     row("cause", (), "U", "what ends bouncing at predicted_down, or why that is NaN"),
     row("difference", (), "U", "why down and predicted_down differ"),
-    row("up_computed", (), "|b1", "of an adaptive map: whether both cells beside up were computed"),
 )
 
 
@@ -212,15 +210,11 @@ def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence
 
 
 def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
-    """The thresholds on the grid in gamma with their statuses, and whether every cell is done.
-
-    In an adaptive map also whether both cells beside each threshold were computed.
-    """
+    """The thresholds on the grid in gamma with their statuses, and whether every cell is done."""
     spec = study.spec
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     endless = endless_rest(spec, omega, float(spec.axis_values("xi")[xi]))
-    names = ["outcome", COMPUTED] if spec.fills_in else ["outcome"]
-    data: dict[str, NDArray[Any]] = {"up_computed": np.zeros(len(omega), bool)} if spec.fills_in else {}
+    data: dict[str, NDArray[Any]] = {}
     for name in ("up", "down"):
         data[name] = np.full(len(omega), np.nan)
         data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)
@@ -229,18 +223,14 @@ def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, N
         down = direction == "down"
         name = "down" if down else "up"
         for low in range(0, len(omega), rows):
-            part = selection.read_direction(
-                study, names, direction, {"xi": xi, "omega": slice(low, low + rows)}
-            )
-            complete = complete and study.is_complete(part["outcome"])
-            for i, outcome in enumerate(part["outcome"], low):
+            some: selection.Indices = {"xi": xi, "omega": slice(low, low + rows)}
+            outcomes = selection.read_direction(study, ["outcome"], direction, some)["outcome"]
+            complete = complete and study.is_complete(outcomes)
+            for i, outcome in enumerate(outcomes, low):
                 bracket = on_grid(outcome, down, bool(endless[i]))
                 data[f"{name}_status"][i] = bracket.status.value
                 if bracket.status is Status.FOUND and bracket.bouncing is not None:
                     data[name][i] = gamma[bracket.bouncing]
-                    if COMPUTED in part:
-                        beside = part[COMPUTED][i - low, bracket.bouncing - 1 : bracket.bouncing + 1]
-                        data["up_computed"][i] = bool(beside.all())
     return data, complete
 
 
@@ -255,8 +245,6 @@ def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[
             status = data[f"{name}_status"]
             thresholds[name] = np.full(len(status), np.nan)
             thresholds[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
-    if "up_computed" in data:  # refinement computes the cells that decide
-        thresholds["up_computed"] = thresholds["up_status"] == Status.FOUND
     return thresholds
 
 

@@ -27,12 +27,12 @@ ALLOWED = {
     "kernel.params": {"numpy"},
     "worker": {
         "numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed",
-        "cloudpickle", "yaml",
+        "cloudpickle",
     },
-    "worker.spec": {"numpy", "pydantic", "yaml"},
-    "worker.study": {"numpy", "pydantic", "yaml"},
+    "worker.spec": {"numpy", "pydantic"},
+    "worker.study": {"numpy", "pydantic"},
     "service.client": {
-        "httpx2", "numpy", "xarray", "pandas", "matplotlib", "rich", "pydantic", "zarr", "obstore", "yaml",
+        "httpx2", "numpy", "xarray", "pandas", "matplotlib", "rich", "pydantic", "zarr", "obstore",
         "IPython",
     },
 }  # fmt: skip

@@ -53,7 +53,7 @@ class SpecError(BounceError, ValueError):
 
 
 class SpecUnreadable(SpecError):
-    """The text is not JSON, TOML or YAML."""
+    """The text is not JSON or TOML."""
 
 
 class SpecInvalid(SpecError):

@@ -7,30 +7,15 @@ length. These functions reject all of it with `SpecUnreadable`.
 import json
 import re
 import tomllib
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
-
-import yaml
-from yaml.constructor import ConstructorError
 
 from worker.spec.errors import Problem, SpecInvalid, SpecUnreadable, describe
 
 MAX_FILE_BYTES: Final = 4_000_000
-MAX_SLOW_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty, yaml by a thousand
+MAX_TOML_BYTES: Final = 1_000_000  # tomllib is slower than json by a factor of thirty
 MAX_DIGITS: Final = 400  # a double has at most 309 before the point
-#: Names in one dotted key, such as `model.kind`; tomllib takes quadratic time for them.
-MAX_KEY_PARTS: Final = 16
-
-#: Tokens of TOML that matter for dotted keys: comments and strings, whose dots do not count, parts of
-#: keys, dots, and blanks. An unclosed string reaches to the end of its line or of the text.
-_TOML_TOKEN: Final = re.compile(
-    r"""(?P<comment>\#[^\n]*)
-    |(?P<part>"{3}(?:\\[\s\S]|[^\\])*?(?:"{3}|\Z) | '{3}[\s\S]*?(?:'{3}|\Z)
-             |"(?:\\.|[^"\\\n])*(?:"|$) | '[^'\n]*(?:'|$) | [A-Za-z0-9_-]+)
-    |(?P<dot>\.) | (?P<blank>[ \t]+) | (?P<other>[\s\S])""",
-    re.VERBOSE | re.MULTILINE,
-)
 
 
 def _unreadable(rule: str) -> SpecUnreadable:
@@ -97,10 +82,10 @@ def fields_of(data: object, what: str) -> dict[str, Any]:
 
 
 def read_file(path: Path) -> object:
-    """Read and parse a .json, .toml, .yaml or .yml file. Raises `SpecUnreadable`, also for a missing file."""
+    """Read and parse a .json or .toml file. Raises `SpecUnreadable`, also for a missing file."""
     reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise _unreadable(f"{path}: a specification file ends in .json, .toml, .yaml or .yml")
+        raise _unreadable(f"{path}: a specification file ends in .json or .toml")
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise _unreadable(f"{path}: must be at most {MAX_FILE_BYTES} bytes; give long axes as ranges")
@@ -110,18 +95,11 @@ def read_file(path: Path) -> object:
     return reader(content)
 
 
-def _text(content: bytes, format: str) -> str:
-    """The text of a file in a format whose reader is slow."""
-    if len(content) > MAX_SLOW_BYTES:
-        raise _unreadable(
-            f"a {format} file must be at most {MAX_SLOW_BYTES} bytes; give long axes as ranges, or write JSON"
-        )
-    return _decoded(content)
-
-
 def _read_toml(content: bytes) -> object:
-    text = _text(content, "TOML")
-    _check_keys(text)
+    if len(content) > MAX_TOML_BYTES:
+        rule = f"a TOML file must be at most {MAX_TOML_BYTES} bytes"
+        raise _unreadable(f"{rule}; give long axes as ranges, or write JSON")
+    text = _decoded(content)
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -135,68 +113,4 @@ def _read_toml(content: bytes) -> object:
         raise _unreadable(f"the TOML cannot be read: {error}") from None
 
 
-def _check_keys(text: str) -> None:
-    """Refuse long dotted keys before tomllib reads them. Takes linear time."""
-    dots = 0
-    for token in _TOML_TOKEN.finditer(text):
-        dots = dots + 1 if token.lastgroup == "dot" else dots if token.lastgroup in ("part", "blank") else 0
-        if dots >= MAX_KEY_PARTS:
-            line = text.count("\n", 0, token.start()) + 1
-            raise _unreadable(
-                f"a key of more than {MAX_KEY_PARTS} parts at line {line}; a specification needs two, "
-                "as model.kind"
-            )
-
-
-class _YamlLoader(yaml.SafeLoader):
-    """Numbers, text, lists and mappings of YAML 1.2 only.
-
-    PyYAML reads YAML 1.1, in which 1e-3 is text, 010 is eight and no is false; and it expands aliases, so
-    that a short text can become a long list.
-    """
-
-    yaml_implicit_resolvers = {}  # noqa: RUF012 - as PyYAML has it
-
-    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """PyYAML's, without aliases."""
-        if self.check_event(yaml.AliasEvent):
-            where = self.get_mark()
-            raise ConstructorError(None, None, "aliases are not read; write the value twice", where)
-        return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        """PyYAML's, refusing repeated keys."""
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                twice = f"field {key.value!r:.80} is given twice; give it once"
-                raise ConstructorError(None, None, twice, key.start_mark)
-            seen.add(str(key.value))
-        return super().construct_mapping(node, deep)
-
-
-for _name, _pattern, _first in (
-    ("null", r"^(?:~|null|)$", ["~", "n", ""]),
-    ("bool", r"^(?:true|false)$", ["t", "f"]),
-    ("int", r"^[-+]?[0-9]+$", list("-+0123456789")),
-    ("float", r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", list("-+.0123456789")),
-):
-    _YamlLoader.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(_pattern), _first)
-_YamlLoader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: _whole(node.value))
-
-
-def _read_yaml(content: bytes) -> object:
-    try:
-        return yaml.load(_text(content, "YAML"), _YamlLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        why = f": {error.problem}" if isinstance(error, ConstructorError) else ""
-        raise _unreadable(f"the text is not YAML{where}{why}") from None
-    except (RecursionError, ValueError) as error:
-        raise _unreadable(f"the YAML cannot be read: {error}") from None
-
-
-_READERS: Final[dict[str, Callable[[bytes], object]]] = {
-    ".json": read_json, ".toml": _read_toml, ".yaml": _read_yaml, ".yml": _read_yaml,
-}  # fmt: skip
+_READERS: Final[dict[str, Callable[[bytes], object]]] = {".json": read_json, ".toml": _read_toml}

@@ -71,7 +71,7 @@ class Specification(Document):
 
     @classmethod
     def from_file(cls, path: str | Path) -> Self:
-        """A specification from a JSON, TOML or YAML file. Raises `SpecUnreadable` or `SpecInvalid`."""
+        """A specification from a JSON or TOML file. Raises `SpecUnreadable` or `SpecInvalid`."""
         return cls.parse(parsing.read_file(Path(path)))
 
     def axis_values(self, axis: str) -> NDArray[np.float64]:

@@ -10,17 +10,15 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.api import schemas
 from service.api.capacity import Cost, costly
-from service.api.dependencies import JobDep, JsonBody, OwnerDep, PageBody, ServiceDep, find_job, stored, tag
+from service.api.dependencies import JobDep, JsonBody, OwnerDep, PageBody, ServiceDep, find_job, tag
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.errors import InvalidRequest
 from service.formats import MOST_SHARED
 from service.jobs.manager import Submission
 from service.jobs.stores.sharing import import_shared
 from service.ledger.model import UNFINISHED, JobRecord
-from worker.maps.window import Window
 from worker.studies import from_json
 from worker.study import Cost as StudyCost
-from worker.sweep import SweepSpec
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 
@@ -197,24 +195,6 @@ def unpin_job(service: ServiceDep, job: JobDep) -> Response:
 def rename_job(service: ServiceDep, job: JobDep, body: JsonBody) -> Response:
     """Gives the job another name. Its id and numbers stay; a store written before keeps the title it has."""
     return _job_response(service.manager.label(job.id, name=schemas.NewName.from_json(body).name), 200)
-
-
-@_post(
-    "/jobs/{job_id}/refine", "Refine a window of a sweep's map", 400, 404, 413, 415, 422, 429,
-    statuses=(202, 200), openapi_extra=json_body("Window"),
-)  # fmt: skip
-def refine_job(service: ServiceDep, job: JobDep, body: JsonBody, owner: OwnerDep) -> Response:
-    """Submits an adaptive sweep of a window of the (Γ, Ω) map, on a grid `finer` times as fine.
-
-    202 if it is accepted, 200 if it is queued, running or done already. Its `spec.parent` is this job.
-    """
-    spec = stored(service, job).spec
-    if not isinstance(spec, SweepSpec):
-        raise InvalidRequest.of(
-            "job_id", f"must be a sweep; the protocol of this job is {spec.protocol.kind}"
-        )
-    window = Window.from_json(body).of(spec, job.id)
-    return _submitted(service, service.manager.submit(window, None, owner))
 
 
 async def _listener_slot(service: ServiceDep) -> AsyncIterator[None]:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ from studies import spec_of
 
 from service.cli.main import main
 from service.client import BounceError, Client, Conflict, Job, NotFound
-from service.client.display import summary
 
 TOKEN = "a-token-of-thirty-two-characters"
 
@@ -74,15 +72,15 @@ def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     assert len(list(idle.client.jobs())) == before
 
 
-def test_a_budget_and_an_effort_on_the_command_line(tmp_path: Path):
+def test_an_effort_on_the_command_line(tmp_path: Path):
     file = tmp_path / "sweep.json"
     windows = {"settle", "observe"}
     file.write_text(json.dumps({name: x for name, x in PLANE.items() if name not in windows} | {"xi": 0.3}))
     with computing_at(tmp_path, token=TOKEN) as address, Client(address, TOKEN) as client:
         own = Running(address, client, client.submit(PLANE))
-        done = output_of(own, "submit", str(file), "--budget", "120s", "--effort", "draft")
+        done = output_of(own, "submit", str(file), "--effort", "draft")
         job = client.job(done.strip())
-    assert (job.state, job.spec["until"], job.spec["observe"]) == ("done", 260, 30)
+    assert (job.spec["until"], job.spec["observe"]) == (260, 30)
     assert "effort" not in job.spec
 
 
@@ -124,12 +122,6 @@ def test_the_shell_completes_commands_options_and_ids(running: Running):
     assert completions(running._replace(address="http://127.0.0.1:9"), "bounce status ") == []
 
 
-def test_the_script_of_a_shell():
-    done = CliRunner().invoke(main, ["completion", "bash"])
-    assert (done.exit_code, "_BOUNCE_COMPLETE" in done.stdout) == (0, True)
-    assert CliRunner().invoke(main, ["completion"]).exit_code == 2
-
-
 def test_watch_without_a_terminal_is_one_table(idle: Running):
     lines = output_of(idle, "watch").splitlines()
     assert any(line.startswith(idle.job.id) and "running" in line for line in lines)
@@ -149,26 +141,6 @@ def test_resume_and_delete(idle: Running):
     with pytest.raises(NotFound):
         job.refresh()
     assert "no job has the id" in bounce(idle, "delete", job.id).stderr
-
-
-def test_follow_ends_with_the_job(tmp_path: Path):
-    held = Held()
-    with service_at(tmp_path, held) as address, Client(address) as client, ThreadPoolExecutor(1) as pool:
-        job = client.submit(sweep())
-        wait_for(lambda: held.held() > 0)
-        states = []
-        for now in job.follow():
-            if not states:
-                computing = pool.submit(held.let_go_until, lambda: client.job(job.id).state == "done")
-            states.append((now.state, now.progress.chunks_done))
-        computing.result()
-        assert states[-1] == ("done", job.progress.chunks_total)
-        assert states == sorted(states, key=lambda state: state[1])
-        assert job.spec["gamma"]["num"] == 60
-        followed = bounce(Running(address, client, job), "follow", job.id)
-        assert (followed.stdout, followed.stderr) == ("", f"{summary(job)}\n")
-        (line,) = output_of(Running(address, client, job), "follow", job.id, "--json").splitlines()
-        assert json.loads(line)["state"] == "done"
 
 
 def test_export(running: Running, tmp_path: Path):
@@ -203,13 +175,6 @@ def test_trajectory(running: Running, tmp_path: Path):
         running, "trajectory", *words, "--drop", "0.5", "1", "--samples", "20", "--format", "json", "-o", "-"
     )
     assert from_json(text.encode()).identical(running.client.trajectory({**cell, "start": start}))
-
-
-def test_a_window_of_a_job_is_refined(running: Running):
-    job = running.client.submit(PLANE | {"protocol": {"kind": "rest"}}).wait(progress=False)
-    window = job.refine(gamma=(0.6, 1.1), omega=(0.5, 0.7), by="bouncing").wait(progress=False)
-    assert window.spec["parent"] == job.id != window.id
-    assert "computed" in window.modes()
 
 
 def test_pinned_jobs_are_listed_apart(idle: Running):

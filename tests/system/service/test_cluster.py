@@ -1,14 +1,11 @@
 """The embedded service: startup errors, and clusters created by a user's function as with dask-jobqueue."""
 
 import os
-import socket
 import sys
-import threading
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-from scripted import DEADLINE, Held
+from scripted import Held
 from studies import spec_of
 
 from service.client import Client
@@ -78,43 +75,15 @@ def test_the_current_folder_comes_after_the_libraries(tmp_path: Path, monkeypatc
     assert sys.path == before
 
 
-def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(embedded, "_ANSWER_SECONDS", DEADLINE)  # on a busy machine the service takes longer
+def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
     with embedded.running(read_settings(data=tmp_path / "1", port=0), Held()) as url:
         port = int(url.rpartition(":")[2])
         same_folder = read_settings(data=tmp_path / "1", port=0)
         with pytest.raises(DataFolderBusy, match="another service"), embedded.running(same_folder, Held()):
             pass
         same_port = read_settings(data=tmp_path / "2", port=port)
-        who = f"a bouncing-spring service \\(release .*, data in {tmp_path / '1'}\\) has it"
-        with pytest.raises(NotStarted, match=who), embedded.running(same_port, Held()):
+        with pytest.raises(NotStarted, match="another program has it"), embedded.running(same_port, Held()):
             pass
-
-
-def test_a_port_of_another_program_is_a_startup_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    class Other(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.end_headers()
-            self.wfile.write(b"[" * 100_000)
-
-        def log_message(self, *_: object) -> None: ...
-
-    with HTTPServer(("127.0.0.1", 0), Other) as other, socket.create_server(("127.0.0.1", 0)) as silent:
-        thread = threading.Thread(target=other.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            for port, seconds, who in (
-                (other.server_port, DEADLINE, "another program has it"),
-                (silent.getsockname()[1], 0.1, "a program that does not answer has it"),
-            ):
-                monkeypatch.setattr(embedded, "_ANSWER_SECONDS", seconds)
-                settings = read_settings(data=tmp_path, port=port)
-                with pytest.raises(NotStarted, match=who), embedded.running(settings, Held()):
-                    pass
-        finally:
-            other.shutdown()
-            thread.join()
 
 
 @pytest.mark.parametrize(

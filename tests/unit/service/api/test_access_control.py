@@ -287,18 +287,6 @@ def test_no_page_of_another_origin_may_read(local: TestClient):
     assert not [name for name in answer.headers if name.startswith("access-control-")]
 
 
-@pytest.mark.parametrize(
-    ("method", "asked"), [("OPTIONS", {}), ("GET", {"Access-Control-Request-Method": "GET"})]
-)
-def test_what_is_no_preflight_needs_a_token(tmp_path: Path, method: str, asked: dict[str, str]):
-    """Also from a page that may read: tests/system/service/test_zarr_access.py."""
-    origin = "https://viewer.example"
-    app = create_app(Settings(data=tmp_path, token=TOKEN, cors_origins=origin), Held())
-    browser = {"Origin": origin, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
-    answer = TestClient(app, base_url="http://localhost").request(method, "/v1/jobs", headers=browser | asked)
-    assert answer.status_code == 401
-
-
 @for_each("path", ["/docs", "/v1/jobs", "/v1/jobs/none", "/nowhere", "/healthz"])
 def test_every_response_has_the_security_headers(local: TestClient, path: str):
     headers = local.get(path).headers

@@ -35,7 +35,7 @@ MB = 2**20
 CHEAP = {
     "/healthz", "/readyz", "/metrics", "/", "/docs", "/v1/jobs", "/v1/jobs/{job_id}", "/v1/figures",
     "/v1/jobs/{job_id}/cancel", "/v1/jobs/{job_id}/resume", "/v1/jobs/{job_id}/events",
-    "/v1/jobs/{job_id}/refine", "/v1/jobs/{job_id}/rename",
+    "/v1/jobs/{job_id}/rename",
     "/v1/jobs/{job_id}/pin", "/v1/jobs/{job_id}/unpin", "/v1/software",
 }  # fmt: skip
 

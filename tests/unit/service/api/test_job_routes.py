@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scripted import Held, sweep
+from fastapi.testclient import TestClient
+from scripted import Held, sweep, wait_for
 from served import computing, finished, get, service
 from studies import spec_of
+from tables import for_each
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -36,6 +38,48 @@ def test_a_budget_is_answered_with_its_view_and_with_200_once_its_job_is_there(t
         answers = [client.post("/v1/jobs?budget=600", json=SWEEP) for _ in range(2)]
     assert [answer.status_code for answer in answers] == [202, 200]
     assert {answer.json()["budget"]["computing"] for answer in answers} == {answers[0].json()["id"]}
+
+
+def view_of(client: TestClient, job: dict[str, Any]) -> dict[str, Any]:
+    return get(client, f"/v1/jobs/{job['id']}")
+
+
+def budget(client: TestClient, spec: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """The first level of a budget that is over."""
+    first = client.post(f"/v1/jobs?budget={seconds}", json=spec).json()
+    wait_for(lambda: view_of(client, first)["budget"]["over"])
+    return view_of(client, first)
+
+
+def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(tmp_path: Path):
+    spec = SWEEP | {"gamma": {"start": 1.1, "stop": 2.1, "num": 30}, "name": "within a budget"}
+    with computing(tmp_path) as client:
+        answer = budget(client, spec, 120.0)["budget"]["answer"]
+        assert answer == client.post("/v1/jobs", json=spec).json()["id"]
+        done = get(client, f"/v1/jobs/{answer}")
+        assert (done["state"], done["budget"]["computing"]) == ("done", None)
+        assert "of the cells" in done["budget"]["doing"]
+        refused = client.post("/v1/jobs?budget=1e-6", json=spec | {"xi": 0.11})
+        assert refused.status_code == 422
+        assert "was over before the first level of" in refused.text
+        states = {job["state"] for job in get(client, "/v1/jobs?search=within")["jobs"]}
+    assert states == {"done"}  # nothing began
+
+
+@for_each("how", ["submitted", "resumed"])
+def test_a_budget_leaves_what_somebody_else_wants(tmp_path: Path, how: str):
+    small = {"gamma": [1.1, 1.2], "omega": 0.5, "xi": 0.1}
+    with service(tmp_path / how, Held(), active_jobs=1) as client:
+        running = client.post("/v1/jobs", json=SWEEP).json()
+        wait_for(lambda: view_of(client, running)["state"] == "running")
+        if how == "submitted":
+            queued = client.post("/v1/jobs", json=small).json()
+        else:
+            wait_for(lambda: budget(client, small, 1.0)["state"] == "cancelled")  # it had begun
+            queued = get(client, "/v1/jobs?state=cancelled")["jobs"][0]
+            client.post(f"/v1/jobs/{queued['id']}/resume")
+        assert "was over before" in budget(client, small, 1.0)["budget"]["error"]
+        assert view_of(client, queued)["state"] == "queued"
 
 
 # Estimates

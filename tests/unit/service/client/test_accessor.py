@@ -8,7 +8,7 @@ import xarray
 from matplotlib.figure import Figure
 from tables import for_each
 
-from service.client import BounceError, Ramp, Range, Rigid, SweepSpec
+from bouncing_spring import BounceError, Ramp, Range, Rigid, SweepSpec
 from service.local import run
 
 SPEC = SweepSpec(

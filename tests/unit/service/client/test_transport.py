@@ -221,30 +221,15 @@ def test_an_error_of_the_connection_is_one_sentence(unused_address: str):
         client.job(ID)
 
 
-def test_what_is_followed_is_no_finished_job_where_its_events_only_end():
-    """The job was deleted; or the service has stopped, and is back."""
-    events = Answer(200, b"event: progress\ndata: {}\n\n", Content_Type="text/event-stream")
-    before, done = [Answer(body=view()), events, Answer(body=view())], Answer(body=view("done", 10))
-    deleted, stopping = (Answer(status, {"title": "", "detail": ""}) for status in (404, 503))
-    with scripted(*before, deleted) as (_, client), pytest.raises(NotFound):
-        list(client.job(ID).follow())
-    with scripted(*before, stopping, LOST, done, events, done) as (_, client):
-        assert [job.state for job in client.job(ID).follow()] == ["running", "done"]
-
-
 def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end(monkeypatch: pytest.MonkeyPatch):
-    """Zeros in a thousandth of their size, as an answer and as a refusal; and an event without an end."""
+    """Zeros in a thousandth of their size, as an answer and as a refusal."""
     monkeypatch.setattr("service.client.transport.MAX_ANSWER_BYTES", 2**21)
     packed = gzip.compress(bytes(3_000_000))
     inflating = [Answer(status, packed, Content_Encoding="gzip") for status in (200, 500)]
-    endless = Answer(200, b"data: " + b"1" * 3_000_000, Content_Type="text/event-stream")
-    with scripted(*inflating, Answer(body=view()), endless) as (_, client):
+    with scripted(*inflating) as (_, client):
         for _ in inflating:
             with pytest.raises(UnexpectedAnswer, match="sends more than 2 MiB"):
                 client.job(ID)
-        job = client.job(ID)
-        with pytest.raises(UnexpectedAnswer, match="sends more than 1 MiB"):
-            list(job.follow())
 
 
 NESTED = b'{"id": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
@@ -329,13 +314,12 @@ def test_a_list_goes_on_to_its_last_page():
 # Jobs
 
 
-@pytest.mark.parametrize("several", [False, True])
-def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one(several: bool):
+def test_a_wait_goes_on_with_the_job_that_takes_the_place_of_one():
     replaced = view("failed") | {"replaced_by": "f" * 32}
     script = (Answer(200, replaced, ETag='"a"'), Answer(body=view("done", 10) | {"id": "f" * 32}))
     with scripted(*script) as (server, client):
         job = client.job(ID)
-        assert (client.wait_all([job], progress=False) == [job]) if several else job.wait(progress=False)
+        job.wait(progress=False)
         assert (job.id, job.state) == ("f" * 32, "done")
         assert "If-None-Match" not in server.requests[1][2]  # that is of the other job
 
@@ -462,7 +446,7 @@ def test_no_error_shows_a_password_of_the_address(url: str):
     def ask() -> None:
         with Client(url, timeout=5) as client:
             assert "s3" not in repr(client) + client.url + client.page
-            client.metrics()
+            client.job(ID)
 
     with pytest.raises(ServiceUnreachable) as refused:
         ask()

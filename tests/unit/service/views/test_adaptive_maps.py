@@ -10,7 +10,6 @@ from fastapi.testclient import TestClient
 from scripted import Held, wait_for
 from served import finished, get, read, service
 from studies import spec_of
-from tables import for_each
 
 SPACE = spec_of(
     (0.4, 2.4, 49), (0.4, 1.0, 41), 0.05, name="thresholds and modes", until=5_000, observe=60, keep=8
@@ -38,17 +37,6 @@ def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     assert client.get(f"{adaptive}/modes?min_flight=0.05").status_code == 200
 
 
-def test_thresholds_tell_where_they_lie_between_computed_cells(client: TestClient, full: str, adaptive: str):
-    whole, part = (read(client, f"{job}/threshold") for job in (full, adaptive))
-    assert "up_computed" not in whole
-    between = np.array(part["up_computed"])
-    found = np.array(part["up_status"]) == "found"
-    assert between[found].mean() > 0.9
-    assert not between[~found].any()
-    for name in ("up", "up_status"):
-        assert np.array_equal(np.array(whole[name])[between], np.array(part[name])[between])
-
-
 def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full: str, adaptive: str):
     def refined(job: str) -> Any:
         path = f"{job}/threshold?tolerance=0.001"
@@ -58,38 +46,6 @@ def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full:
     whole, part = refined(full), refined(adaptive)
     np.testing.assert_array_equal(part.up_status, whole.up_status)
     np.testing.assert_array_equal(part.up, whole.up)
-    assert part.up_computed.values[part.up_status.values == "found"].all()
-
-
-def test_a_window_is_an_adaptive_sweep_on_a_finer_grid(client: TestClient, full: str):
-    body = {"gamma": [0.6, 1.1], "omega": [0.5, 3.0], "finer": 20, "by": "bouncing"}
-    answer = client.post(f"{full}/refine", json=body)
-    assert answer.status_code == 202
-    view = answer.json()
-    spec = view["spec"]
-    assert spec["parent"] == full.rsplit("/", 1)[-1]
-    assert spec["refine"] == {"by": "bouncing", "coarsest": 64, "margin": False}
-    assert spec["gamma"] == {"start": 0.6, "stop": 1.1, "num": 20 * 11 + 1, "spacing": "linear"}
-    assert spec["omega"]["stop"] == 1.0  # cut to the sweep
-    assert all(spec[name] == SPACE[name] for name in ("observe", "keep"))
-    assert view["name"] == "Window of thresholds and modes"
-    wait_for(lambda: get(client, answer.headers["Location"])["state"] == "done")
-    assert client.post(f"{full}/refine", json=body).status_code == 200
-
-
-@for_each(("field", "value"), [("gamma", [1.1, 0.6]), ("gamma", [1.0]), ("xi", 0.3), ("coarse", 3)])
-def test_a_bad_window_names_the_field(client: TestClient, full: str, field: str, value: Any):
-    answer = client.post(f"{full}/refine", json={field: value})
-    assert answer.status_code == 422
-    assert field in {error["field"].partition("[")[0] for error in answer.json()["errors"]}
-
-
-def test_a_window_of_a_ramp_is_refused(client: TestClient):
-    ramp = {"kind": "ramp", "axis": "gamma", "direction": "up"}
-    here = finished(client, {**SPACE, "gamma": [0.5, 0.6], "omega": 0.6, "protocol": ramp})
-    answer = client.post(f"{here}/refine", json={})
-    assert answer.status_code == 422
-    assert "ramp" in answer.text
 
 
 def test_a_map_of_a_hundred_million_cells_is_planned_in_little_memory(tmp_path: Path):
