@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
+_BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h."
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 _effort_option: Final = click.option(
@@ -47,6 +48,7 @@ _effort_option: Final = click.option(
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
 @_effort_option
+@click.option("--budget", type=DURATION, help=_BUDGET)
 @with_client
 def submit(
     client: "Client",
@@ -55,19 +57,25 @@ def submit(
     estimate: bool,
     key: str | None,
     effort: str | None,
+    budget: float | None,
 ) -> None:
     """Submit a sweep and print its job id.
 
     SPEC is a .json or .toml file, or - for JSON on standard input. The same sweep is always the same
     job: one that is done is not computed again, one that failed or was cancelled continues.
+    With --budget the jobs are levels from coarse to fine; the id is that of the last one that is done.
     """
     from service.cli import output
 
+    for option, given in (("--key", key is not None), ("--estimate", estimate)):
+        if budget is not None and given:
+            raise click.UsageError(f"{option} is of one job, and --budget submits several: give one")
     specification = _specification(spec, effort)
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
         return
-    job = client.submit(specification, key=key)
+    within = None if budget is None else client.run(specification, budget=budget)
+    job = within or client.submit(specification, key=key)
     click.echo(job.id)
     if wait_for_job:
         _wait(job)
@@ -80,9 +88,7 @@ def submit(
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
 @_effort_option
-@click.option(
-    "--budget", type=DURATION, help="Compute the finest level that fits into this time: 90s, 5m, 1h."
-)  # fmt: skip
+@click.option("--budget", type=DURATION, help=_BUDGET)
 def run(
     spec: str,
     output: str,

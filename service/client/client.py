@@ -3,6 +3,7 @@
 import math
 import os
 import re
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from service.client import errors
-from service.client.display import PartsCallback
+from service.client.display import PartsCallback, display_line
 from service.client.job import Job, ResultReader, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 #: Jobs in one request for a list of jobs.
 PAGE_SIZE: Final = 1000
+#: Seconds between two looks at a budget.
+BUDGET_DELAY: Final = 0.2
 
 #: Hex digits of an id, and the fewest leading ones that select a job. No other text becomes part of an
 #: address.
@@ -117,6 +120,29 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         headers = {"Idempotency-Key": header_value("an idempotency key", key)} if key is not None else None
         response = self._transport.post("/v1/jobs", body(spec), headers=headers)
         return Job(self._transport, json_object(response), response)
+
+    def run(self, spec: Specification, *, budget: float, progress: bool = True) -> Job:
+        """Compute the finest level of a sweep that fits into `budget` seconds, waiting for workers included.
+
+        The service computes levels, sweeps from coarse to fine, one after another, also if this client goes
+        away: plain jobs, whose results can be read while the next one is computed. Returns the last one that
+        is done; `job.audit()` says at once how wrong it is, if the time sufficed. Raises InvalidSpecification
+        if the time is too short for any level, BounceError if the service ended, and with it the budget. Also
+        raises as `submit`.
+        """
+        response = self._transport.post("/v1/jobs", body(spec), query={"budget": budget})
+        first, doing = Job(self._transport, json_object(response), response), ""
+        while (reached := first.view.get("budget")) is not None:
+            if progress and reached["doing"] != doing:
+                doing = reached["doing"]
+                display_line(doing if reached["over"] else f"{doing}, {reached['seconds_left']} s left")
+            if reached["over"]:
+                if reached["answer"] is None:
+                    raise errors.InvalidSpecification.before_sending(reached["error"])
+                return self.job(reached["answer"])
+            time.sleep(BUDGET_DELAY)
+            first._refresh_in_time()
+        raise BounceError("the service has begun anew, which ends the budget: `jobs` finds its levels")
 
     def import_shared(self, path: "str | PathLike[str]") -> Job:
         """The sweep of a file that `Job.share` wrote as a done job of this service, the same to the last bit.

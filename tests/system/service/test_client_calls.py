@@ -72,15 +72,15 @@ def test_an_estimate_submits_nothing(idle: Running, tmp_path: Path):
     assert len(list(idle.client.jobs())) == before
 
 
-def test_an_effort_on_the_command_line(tmp_path: Path):
+def test_a_budget_and_an_effort_on_the_command_line(tmp_path: Path):
     file = tmp_path / "sweep.json"
     windows = {"settle", "observe"}
     file.write_text(json.dumps({name: x for name, x in PLANE.items() if name not in windows} | {"xi": 0.3}))
     with computing_at(tmp_path, token=TOKEN) as address, Client(address, TOKEN) as client:
         own = Running(address, client, client.submit(PLANE))
-        done = output_of(own, "submit", str(file), "--effort", "draft")
+        done = output_of(own, "submit", str(file), "--budget", "120s", "--effort", "draft")
         job = client.job(done.strip())
-    assert (job.spec["until"], job.spec["observe"]) == (260, 30)
+    assert (job.state, job.spec["until"], job.spec["observe"]) == ("done", 260, 30)
     assert "effort" not in job.spec
 
 

@@ -29,6 +29,7 @@ from service.client import (
     Busy,
     Client,
     Conflict,
+    InvalidSpecification,
     NotFound,
     Refused,
     ServiceError,
@@ -452,3 +453,15 @@ def test_no_error_shows_a_password_of_the_address(url: str):
         ask()
     assert "s3" not in "".join(traceback.format_exception_only(refused.value))
     assert "cret" not in str(refused.value)
+
+
+def test_a_budget_ends_with_its_service():
+    """A service that has begun anew knows of none; a budget that was too short says why."""
+    begun = {"doing": "level 1 of 2", "answer": None, "seconds_left": 9, "over": False, "error": None}
+    short = begun | {"over": True, "error": "budget: was over before the first level"}
+    first = Answer(202, view() | {"budget": begun})
+    anew, over = Answer(body=view()), Answer(body=view() | {"budget": short})
+    with scripted(first, LOST, anew) as (_, client), pytest.raises(BounceError, match="begun anew"):
+        client.run({}, budget=10.0, progress=False)
+    with scripted(first, over) as (_, client), pytest.raises(InvalidSpecification, match="was over before"):
+        client.run({}, budget=10.0, progress=False)
