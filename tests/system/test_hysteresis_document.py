@@ -55,6 +55,7 @@ SEARCHED_ROWS = re.findall(r"^\| 0\.\d+ to .*$", SECTIONS["How far the rule was 
 #: The scripts that draw the document's figures, and arguments with which they take a second.
 SMALL: dict[str, dict[str, Any]] = {
     "branches": {"num": 22},
+    "other_contacts": {"num": 2, "frequencies": (0.6,)},
     "curves": {"lines": 5, "tips": 1},
     "energy": {"num": 11},
     "hysteresis": {
