@@ -22,6 +22,8 @@ _AWAY: Final = 2.0
 _SAME_GAMMA: Final = 5
 #: Relative step of the derivatives by Omega and xi.
 _DIFFERENCE: Final = 1e-6
+#: The least xi whose step is relative to it. xi itself may be 0, and both sides of it have cycles.
+_UNDAMPED: Final = 1e-3
 
 #: Limit on recounts of the hops of one solution.
 _RECOUNTS: Final = 8
@@ -176,7 +178,7 @@ class Cycles(NamedTuple):
             return go_round(self.plate, omega, xi, self.code, self.periods, x)
         u = np.ascontiguousarray(x[:-1])
         cycle = go_round(self.plate, omega, xi, self.code, self.periods, u)
-        step = _DIFFERENCE * float(x[-1])
+        step = _DIFFERENCE * max(float(x[-1]), _UNDAMPED if self.along == "xi" else 0.0)
         sides = []
         for change in (step, -step):
             _, omega, xi = self.cell(x + change * self.gradient(x))

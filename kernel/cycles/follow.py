@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from kernel.cycles.changes import Margin, next_cycle, over_small_segment
-from kernel.cycles.cycles import LANDINGS, Broken, Point, confirmed
+from kernel.cycles.cycles import LANDINGS, Broken, Point, admissible, confirmed
 from kernel.cycles.events import CROSSINGS, Kind
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
@@ -123,9 +123,20 @@ def follow(
         if end is not None:
             events.append(Event(end, last, after=len(line) - 1))
         if end is not None or after is None:
-            return Followed(line, events)
+            return Followed(line, events) if last.parameter >= 0.0 else _up_to_zero(line, events)
         point = after
     return Followed(line, [*events, Event(End.CUT_OFF, line[-1], after=len(line) - 1)])
+
+
+def _up_to_zero(line: list[Point], events: list[Event]) -> Followed:
+    """A branch without its last point, which has left for a negative parameter: no spring has such a xi."""
+    *inside, last = line
+    kept = [event for event in events if event.point.parameter >= 0.0]
+    near = last.cycles.at(last.x, 0.0)
+    if near is not None and not (inside and inside[-1].parameter == 0.0):
+        edge = admissible(near.cycles.on_branch(np.append(near.x[:-1], 0.0)))
+        inside += [] if edge is None else [edge.towards(last.tangent)]
+    return Followed(inside or line, kept)
 
 
 def _end(last: Point) -> End | None:

@@ -7,13 +7,14 @@ from typing import Any
 import httpx2
 import pytest
 from browser import needs_chromium, opened, screenshot, wait_shown
-from scripted import DEADLINE, wait_for
-from served import done
+from scripted import DEADLINE, Held, wait_for
+from served import done, service_at
 from studies import spec_of
 
 from kernel.cycles.starts import cycles_at
 from kernel.cycles.thresholds import thresholds
 from kernel.params import Cell
+from worker.executors.dask import Dask
 
 pytestmark = needs_chromium
 
@@ -96,6 +97,11 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
                 texts[text] = at
         assert texts
         text, at = next(iter(texts.items()))
+        readout_at(page, at)
+        page.get_by_label("Branches").press("Space")  # the pointer is still on the cycle
+        wait_for(lambda: branch_pixels(page) == [])
+        page.get_by_label("Branches").press("Space")
+        wait_for(lambda: len(branch_pixels(page)) > 200)
         match = re.search(
             r"Γ = ([\d.]+) · cycle \(1, 1\), unstable · flight time ([\d.]+) rad · multipliers", text
         )
@@ -164,6 +170,21 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
     with opened(browser, f"{address}/#/job/{done(address, stepped)}/diagram?branches=1") as page:
         texts = page.locator(".panel .plot .texts", has_text="unstable, ideal plate")
         texts.wait_for(state="attached")
+
+
+def test_branches_of_cells_follow_a_sweep_that_runs(
+    browser: Any, cluster: Dask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    held = Held()
+    monkeypatch.setattr(held, "call", cluster.call)  # only cells wait
+    with service_at(tmp_path, held) as address:
+        spec = spec_of(0.88, (0.54, 0.63, 10), 0.05, window=(300, 30, 8))
+        job = httpx2.post(f"{address}/v1/jobs", json=spec, timeout=DEADLINE).json()
+        with opened(browser, f"{address}/#/job/{job['id']}/diagram?along=omega&branches=1") as page:
+            page.get_by_text("Not computed yet", exact=True).wait_for()
+            wait_for(lambda: page.locator(".closed-form .note").inner_text() == "")
+            held.let_go()
+            wait_for(lambda: len(branch_pixels(page)) > 200)
 
 
 def test_a_contact_is_explored(browser: Any, address: str):

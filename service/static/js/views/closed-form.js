@@ -30,6 +30,8 @@ export const eventName = (kind) => EVENTS[kind] ?? kind;
 /** Cycles over a plot: a check box with a note beside it, and their data, null where they are not shown. */
 class CyclesOverlay {
   data = null;
+  isComplete = true; // whether no cell that is computed later changes the data
+  isLoading = false;
 
   /** `parameter` of the address; `path()` of the result, null where there is none; `read(result)` gives the data. */
   constructor(view, label, parameter, path, read) {
@@ -47,23 +49,30 @@ class CyclesOverlay {
     const path = this.path();
     this.element.hidden = path === null;
     const wanted = this.input.checked ? path : null;
-    if (wanted === this.requested) return;
+    if (wanted === this.requested) {
+      this.isOutdated = true; // there may be more cells
+      if (this.isComplete || this.isLoading) return;
+    }
     this.requested = wanted;
     this.load();
   }
 
   async #load(signal) {
     const path = this.requested;
+    Object.assign(this, { isLoading: true, isOutdated: false });
     this.note.textContent = path ? "computing …" : "";
     try {
-      this.data = path && this.read(await requestDataset(path, { signal }));
+      const result = path && await requestDataset(path, { signal });
+      Object.assign(this, { data: result && this.read(result), isComplete: result?.attrs.complete ?? true });
       this.note.textContent = "";
     } catch (error) {
       if (error.name === "AbortError") return;
-      Object.assign(this, { data: null, requested: null });
+      Object.assign(this, { data: null, requested: null, isComplete: true });
       this.note.textContent = isHandledElsewhere(error) ? "" : error.message;
     }
+    this.isLoading = false;
     if (this.view.isLoaded && !this.view.signal.aborted) this.view.draw();
+    if (!this.isComplete && this.isOutdated) this.load();
   }
 }
 

@@ -203,7 +203,7 @@ export class Diagram extends PlotView {
   drawCursor(ctx, box) {
     const cell = this.#selectedOnLines();
     if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
-    if (this.current?.periods) drawCycle(ctx, box, this.current, this.cycles.along);
+    if (this.current?.periods) drawCycle(ctx, box, this.current, this.lines[0].along);
     else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(flightsIn(line, cell)).slice(0, MAX_CIRCLES)));
   }
 
@@ -261,11 +261,11 @@ export class Diagram extends PlotView {
   }
 
   at({ line, cell, ...cycle }) {
-    return line ? [line.values[cell], flightsIn(line, cell)[0]] : [cycle[this.cycles.along], cycle.flight_time];
+    return line ? [line.values[cell], flightsIn(line, cell)[0]] : [cycle[this.lines[0].along], cycle.flight_time];
   }
 
   cellOf({ line, cell, ...cycle }) {
-    if (!line) return startOn(this.place, cycle, this.cycles.along);
+    if (!line) return startOn(this.place, cycle, this.lines[0].along);
     return { ...line.fixed, [line.along]: line.values[cell], direction: line.direction };
   }
 
@@ -276,7 +276,7 @@ export class Diagram extends PlotView {
   }
 
   describe(cell) {
-    if (cell.periods) return `${describeCycle(cell, this.cycles.along)} · ${this.textOf(this.lines[0].fixed)} · press to see it move`;
+    if (cell.periods) return `${describeCycle(cell, this.lines[0].along)} · ${this.textOf(this.lines[0].fixed)} · press to see it move`;
     if (!this.isCompared) return super.describe(cell);
     return this.#atCurrent().map((entry) => h("span", { className: "entry" }, swatch(this.#colour(entry.line, theme())), `${super.describe(entry)} `));
   }

@@ -266,6 +266,20 @@ def test_a_ramp_along_omega_has_the_cycles_of_its_cells(client: TestClient, pyth
     assert "stable cycle" in job.plot(along="omega", branches=True).get_legend_handles_labels()[1]
 
 
+def test_branches_along_xi_end_without_damping(python_client: Client):
+    axes = {"gamma": 1.2, "omega": 0.6, "xi": {"start": 0, "stop": 0.2, "num": 6}}
+    job = python_client.submit(FIGURE_2 | axes | {"model": {"kind": "rigid"}}).wait(progress=False)
+    found = job.orbits(along="xi", progress=False)
+    assert np.nanmin(found.xi) == 0.0 < np.nanmax(found.xi)
+    query: dict[str, Any] = {"modes": "1-1", "along": "xi", "gamma": 2.0, "model": "soft"}
+    undamped = python_client.orbits(0.5, 0.0, **query, progress=False)
+    assert np.nanmin(undamped.xi) == 0.0
+    along_gamma = python_client.orbits(0.5, 0.0, "1-1", model="soft", progress=False)
+    order = np.argsort(along_gamma.flight_time.values, axis=None)
+    times, gammas = (x.values.ravel()[order] for x in (along_gamma.flight_time, along_gamma.gamma))
+    assert np.interp(undamped.flight_time.values[0, 0], times, gammas) == pytest.approx(2.0, abs=0.02)
+
+
 @for_each(("model", "rule"), [
     ({"kind": "ball"}, "model: cycles are followed of rigid and soft contacts; the sweep's is ball"),
     ({"kind": "soft", "rest_length": 10}, "with a rest_length every cell has its own"),
