@@ -345,8 +345,9 @@ def _sentence(
             f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
             f"{tolerance:g} rad"
         )
-        if said := [*zip(COVERAGES, deviation[np.isfinite(deviation)], strict=False)]:
-            share, most = said[-1]
+        finite = deviation[np.isfinite(deviation)]
+        if finite.any():  # else no cell that repeats, or only such at rest
+            share, most = COVERAGES[len(finite) - 1], finite[-1]
             sentences[-1] += f", {100.0 * share:g} % of the cells by at most {1.05 * most:.2g}"  # rounded up
     followed = answers["numerics"]["integrator"]
     if followed.sampled:
