@@ -17,6 +17,7 @@ const LONGEST = 24; // plate periods of a cycle that is played whole
 const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which a note explains the delay of another motion
 const MAX_LISTED = 8; // flights, or numbers of a variable
+const SAME_CYCLE = 1e-4; // rad between the flight times of one cycle
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
 /** Of each kind of start: whose motion it is, and in words where it begins. */
 const STARTS = {
@@ -76,7 +77,7 @@ export class TrajectoryPanel {
     let path, options, cycle; // cycle: its plate periods
     const load = (periods) => {
       [path, options] = requestOf(job, cell, { ...length, periods });
-      return this.#load(path, { ...options, signal });
+      return this.#load(path, { ...options, signal }, start);
     };
     try {
       cycle = start?.periods ?? 0;
@@ -100,7 +101,7 @@ export class TrajectoryPanel {
   }
 
   /** Play a motion; a note tells that it is computed, beside another one after SLOW_MS. */
-  async #load(path, options) {
+  async #load(path, options, start) {
     clearTimeout(this.timer);
     this.note.hidden = Boolean(this.trajectory);
     this.timer = setTimeout(() => { this.note.hidden = false; }, SLOW_MS);
@@ -114,7 +115,7 @@ export class TrajectoryPanel {
     }
     this.#showError(null);
     this.player.show(this.trajectory);
-    this.readout.textContent = describeMotion(this.trajectory);
+    this.readout.textContent = describeMotion(this.trajectory, start);
     this.portraits.show({ trajectory: this.trajectory, flights: null });
   }
 
@@ -208,9 +209,11 @@ async function requestMotion(path, options) {
   };
 }
 
-function describeMotion(trajectory) {
+/** Of a start on a cycle, whether it is the one asked for: those of several bounces that cells settled to are found by no start. */
+function describeMotion(trajectory, start) {
   const { cycle, complete } = trajectory;
-  return `${cycle ? `On the ${cycleText(cycle)}. ` : ""}${flightsText(trajectory)}${complete ? "" : " The computation stopped before the end."}`;
+  const on = Math.abs(cycle?.flight_time - start?.flight_time) > SAME_CYCLE ? "Not on the cycle pressed, but on a" : "On the";
+  return `${cycle ? `${on} ${cycleText(cycle)}. ` : ""}${flightsText(trajectory)}${complete ? "" : " The computation stopped before the end."}`;
 }
 
 function flightsText({ phase, flights, in_flight: flies }) {
