@@ -22,13 +22,11 @@ export class Difference extends PlaneView {
     this.build(root, { controls: [sliders(this, ["xi"]), this.rampChoice()], label: "Where the modes differ", shown: [this.sentence, this.legend.element], hint: HINT });
   }
 
-  paths() {
-    const [{ job, grid }, other] = this.sources;
-    return [`/v1/jobs/${job.id}/difference?${query({ other: other.job.id, xi: grid.xi[nearestIndex(grid.xi, this.place.xi)], direction: this.direction })}`];
-  }
+  paths = () => [this.filePath()];
 
   filePath() {
-    return this.paths()[0];
+    const [{ job, grid }, other] = this.sources;
+    return `/v1/jobs/${job.id}/difference?${query({ other: other.job.id, xi: grid.xi[nearestIndex(grid.xi, this.place.xi)], direction: this.direction })}`;
   }
 
   read([result]) {
