@@ -119,6 +119,9 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         screenshot(page, "cycle")
         with opened(browser, page.evaluate("location.href")) as again:  # the address shows the same cycle
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
+        other = re.sub(r"cycle(%3A|:)1\1[\d.]+", r"cycle\g<1>1\g<1>9", page.evaluate("location.href"))
+        with opened(browser, other) as again:  # of a flight that no cycle (1, 1) has
+            again.locator(".trajectory .readout", has_text="Not on the cycle pressed, but on a").wait_for()
 
 
 def test_an_event_is_read_where_it_is_marked_and_its_spring_explored(browser: Any, address: str, loop: str):

@@ -339,12 +339,14 @@ def test_the_difference_of_two_sweeps_is_a_map_and_a_sentence(browser: Any, addr
 
 
 def test_the_difference_of_two_lines_has_one_frequency(browser: Any, address: str):
-    line = spec_of((0.5, 3.0, 26), 0.45, 0.05, window=(40, 12, 8))
+    line = spec_of((0.5, 3.0, 26), 0.45, 0.05, ramp="both", window=(40, 12, 8))
     lines = [done(address, {**line, "xi": xi}) for xi in (0.05, 0.1)]
     with opened(browser, f"{address}/#/compare?jobs={','.join(lines)}&layout=difference") as page:
         page.locator(".sentence", has_text="of the cells have the same mode").wait_for()
         ticks = page.locator(".panel .plot .texts span").all_inner_texts()
         assert [text for text in ticks if text.startswith("0.4")] == ["0.45"]
+        with page.expect_request(re.compile("/difference.*direction=down")):
+            page.get_by_label("Ramp").select_option("down")
 
 
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):

@@ -19,23 +19,23 @@ export class Difference extends PlaneView {
     super(view);
     this.sentence = h("p", { className: "sentence", role: "status" });
     this.legend = new ClassLegend(this, "Modes of the second sweep");
-    this.build(root, { controls: [sliders(this, ["xi"]), this.sentence], label: "Where the modes differ", shown: [this.legend.element], hint: HINT });
+    this.build(root, { controls: [sliders(this, ["xi"]), this.rampChoice()], label: "Where the modes differ", shown: [this.sentence, this.legend.element], hint: HINT });
   }
 
-  paths() {
-    const [{ job, grid }, other] = this.sources;
-    return [`/v1/jobs/${job.id}/difference?${query({ other: other.job.id, xi: grid.xi[nearestIndex(grid.xi, this.place.xi)] })}`];
-  }
+  paths = () => [this.filePath()];
 
   filePath() {
-    return this.paths()[0];
+    const [{ job, grid }, other] = this.sources;
+    return `/v1/jobs/${job.id}/difference?${query({ other: other.job.id, xi: grid.xi[nearestIndex(grid.xi, this.place.xi)], direction: this.direction })}`;
   }
 
   read([result]) {
     const cellsOf = (prefix) => Object.fromEntries(["outcome", "label", "bounces", "periods"].map((name) => [name, result[prefix + name]?.data]));
-    [this.columns, this.rows, this.xi, this.differs] = ["gamma", "omega", "xi", "differs"].map((name) => result[name].data);
+    [this.columns, this.rows, this.xi, this.loadedDirection, this.differs] = ["gamma", "omega", "xi", "direction", "differs"].map((name) => result[name].data);
     Object.assign(this, { first: cellsOf(""), second: cellsOf("other_"), classes: modeClasses(cellsOf("other_")) });
-    this.title = `ξ = ${[...new Set([this.xi, result.attrs.other_xi])].map((xi) => axisText(xi, this.grid.xi)).join(" and ")}`;
+    const both = (value, other, text) => [...new Set([value, other])].map(text).join(" and ");
+    const directions = both(this.loadedDirection, result.attrs.other_direction, (direction) => (direction === "rest" ? "from rest" : `ramp ${direction}`));
+    this.title = `ξ = ${both(this.xi, result.attrs.other_xi, (xi) => axisText(xi, this.grid.xi))}, ${directions}`;
     this.sentence.textContent = result.attrs.sentence;
   }
 

@@ -17,6 +17,7 @@ const LONGEST = 24; // plate periods of a cycle that is played whole
 const MAPPED = { periods: 120, samples: 2 };
 const SLOW_MS = 2500; // after which a note explains the delay of another motion
 const MAX_LISTED = 8; // flights, or numbers of a variable
+const SAME_CYCLE = 1e-4; // rad between flight times; no start finds most cycles of several bounces that cells settled to
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
 /** Of each kind of start: whose motion it is, and in words where it begins. */
 const STARTS = {
@@ -73,13 +74,12 @@ export class TrajectoryPanel {
     Object.assign(this.explore, { hidden: !isThere, href: link(["explore"], { ...place, contact, ...parameters }) });
     this.values.hidden = this.proof.hidden = true;
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
-    let path, options, cycle; // cycle: its plate periods
+    let path, options, cycle = start?.periods ?? 0; // cycle: its plate periods
     const load = (periods) => {
       [path, options] = requestOf(job, cell, { ...length, periods });
-      return this.#load(path, { ...options, signal });
+      return this.#load(path, { ...options, signal }, start);
     };
     try {
-      cycle = start?.periods ?? 0;
       if (!start && job.id) cycle = await this.#showValues(job, cell, signal).catch(() => 0); // complete without values
       await load(Math.max(length.periods, Math.min(cycle, LONGEST)));
       const { flights, in_flight: flies } = this.trajectory;
@@ -100,7 +100,7 @@ export class TrajectoryPanel {
   }
 
   /** Play a motion; a note tells that it is computed, beside another one after SLOW_MS. */
-  async #load(path, options) {
+  async #load(path, options, start) {
     clearTimeout(this.timer);
     this.note.hidden = Boolean(this.trajectory);
     this.timer = setTimeout(() => { this.note.hidden = false; }, SLOW_MS);
@@ -114,7 +114,7 @@ export class TrajectoryPanel {
     }
     this.#showError(null);
     this.player.show(this.trajectory);
-    this.readout.textContent = describeMotion(this.trajectory);
+    this.readout.textContent = describeMotion(this.trajectory, start);
     this.portraits.show({ trajectory: this.trajectory, flights: null });
   }
 
@@ -208,9 +208,10 @@ async function requestMotion(path, options) {
   };
 }
 
-function describeMotion(trajectory) {
+function describeMotion(trajectory, start) {
   const { cycle, complete } = trajectory;
-  return `${cycle ? `On the ${cycleText(cycle)}. ` : ""}${flightsText(trajectory)}${complete ? "" : " The computation stopped before the end."}`;
+  const on = Math.abs(cycle?.flight_time - start?.flight_time) > SAME_CYCLE ? "Not on the cycle pressed, but on a" : "On the";
+  return `${cycle ? `${on} ${cycleText(cycle)}. ` : ""}${flightsText(trajectory)}${complete ? "" : " The computation stopped before the end."}`;
 }
 
 function flightsText({ phase, flights, in_flight: flies }) {

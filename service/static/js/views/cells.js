@@ -1,7 +1,7 @@
 // Cells on a rectangular plane: drawing them, pointing at one, stepping from one to the next, their legend.
 
 import { currentQuery, setQuery } from "../lib/address.js";
-import { h } from "../lib/dom.js";
+import { choice, h } from "../lib/dom.js";
 import { share } from "../lib/format.js";
 import { axisColumn, clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour, theme } from "../plot/colours.js";
@@ -51,6 +51,13 @@ export class PlaneView extends PlotView {
   cellsInWindow() {
     return Array.from(this.indicesInWindow(), (i) => ({ column: i % this.columns.length, row: Math.floor(i / this.columns.length) }));
   }
+
+  get direction() {
+    const { dir } = currentQuery();
+    return this.directions.includes(dir) ? dir : this.directions[0];
+  }
+
+  rampChoice = () => this.directions.length > 1 && choice("Ramp", this.directions.map((name) => [name, name]), this.direction, (dir) => setQuery({ dir }));
 
   /** The index of a cell in what is stored row by row. */
   indexOf = ({ column, row }) => row * this.columns.length + column;

@@ -44,13 +44,12 @@ export class Cycles extends PlotView {
   }
 
   content() {
-    const { omega, xi } = this.spring;
     return {
       ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
       title: this.textOf(this.spring),
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",
-      layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(omega, xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
+      layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(this.spring.omega, this.spring.xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
     };
   }
 

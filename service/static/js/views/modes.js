@@ -32,7 +32,7 @@ export class Modes extends PlaneView {
     this.note = h("p", { className: "note", role: "status" });
     this.build(root, {
       controls: [sliders(this, ["xi"]),
-        canHatch && choice("Ramp", this.directions.map((direction) => [direction, direction]), this.direction, (dir) => setQuery({ dir })),
+        canHatch && this.rampChoice(),
         isFirst(({ job }) => certifies(job.spec)) && choice("Colour", COLOURS, this.color, setColour, { "data-service": true })],
       label: `Mode map of ${titleOf(this.job)}`, hint: HINT,
       shown: [this.legend.element, this.note, h("div", { className: "controls" },
@@ -40,11 +40,6 @@ export class Modes extends PlaneView {
         this.isAdaptive && this.showsComputed,
         !this.isAdaptive && !this.isFollower && minFlightInput(this.job))],
     });
-  }
-
-  get direction() {
-    const { dir } = currentQuery();
-    return this.directions.includes(dir) ? dir : this.directions[0];
   }
 
   get showsHysteresis() {

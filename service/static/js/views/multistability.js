@@ -31,8 +31,7 @@ class AttractorView extends PlaneView {
   }
 
   filePath() {
-    const { place } = this;
-    return `/v1/jobs/${this.job.id}/multistability?${query(Object.fromEntries(this.axes.map((axis) => [axis, place[axis]])))}`;
+    return `/v1/jobs/${this.job.id}/multistability?${query(Object.fromEntries(this.axes.map((axis) => [axis, this.place[axis]])))}`;
   }
 
   read([result]) {

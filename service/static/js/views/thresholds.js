@@ -126,9 +126,7 @@ export class Thresholds extends PlotView {
     return { row: this.rows[current ? clampIndex(this.rows.indexOf(current.row) + right, n) : n >> 1] };
   }
 
-  at({ row, y }) {
-    return [row.omega, y];
-  }
+  at = ({ row, y }) => [row.omega, y];
 
   describe(cell) {
     return `${cell.fold ? `${describeEvent(cell.fold)} · Ω = ${number(cell.fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
