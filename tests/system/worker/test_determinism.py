@@ -1,6 +1,5 @@
 """Same specification, same bytes: for any chunks and any executor, and after crashes."""
 
-from concurrent.futures import wait
 from pathlib import Path
 
 import pytest
@@ -37,8 +36,7 @@ def compute_with(executor: Executor, spec: SweepSpec, url: Path) -> Path:
     plan = planned(url, spec, (1, 1, 7))
     for wave in range(0, len(plan), plan.lines):
         futures = [executor.submit(spec, chunk, str(url)) for chunk in plan[wave : wave + plan.lines]]
-        wait(futures)
-        assert all(future.result().cells for future in futures)
+        assert all(future.result(timeout=300).cells for future in futures)
     return url
 
 
