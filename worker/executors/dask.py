@@ -54,6 +54,8 @@ class _Task:
     chunk: Hashable = None  # its store and number; None for a call, whose beginning workers do not report
     others: tuple[str, ...] = ()  # the only workers that may run it: a chunk failed on the others
     worker: str | None = None  # the address of the last worker that began it
+    future: Any = None  # Dask's, once submitted
+    running: Any = None  # `_run`: event loops keep no reference
     result: Future[Any] = field(default_factory=Future)
 
 
@@ -69,6 +71,13 @@ class _Call:
 
     def __reduce__(self) -> Any:
         return run_if_admitted, (self._release, dumps(self._call))  # type: ignore[no-untyped-call]
+
+
+async def _withdraw(task: _Task) -> None:
+    """Cancel an answered task in the client's event loop: the scheduler may start it on another worker."""
+    if task.future is not None and not task.future.done():
+        with suppress(Exception):  # the client closes, and its tasks with it
+            await task.future.cancel()
 
 
 class Dask:
@@ -216,7 +225,7 @@ class Dask:
         task = _Task(self._connection.client, f"{run_if_admitted.__name__}-{uuid4().hex}", chunk, others)
         run = self._run(task, pickle.dumps(call), priority)
         try:
-            running = asyncio.run_coroutine_threadsafe(run, task.client.loop.asyncio_loop)
+            task.running = asyncio.run_coroutine_threadsafe(run, task.client.loop.asyncio_loop)
         except Exception as error:  # the loop is closed
             run.close()
             raise ClusterLost(f"the connection to the scheduler was lost: {error}") from error
@@ -224,7 +233,7 @@ class Dask:
 
         def on_done(_: "Future[Any]") -> None:
             del self._tasks[task.key]
-            running.cancel()
+            task.client.loop.add_callback(_withdraw, task)
 
         task.result.add_done_callback(on_done)
         if task.client.status != "running":  # since just now
@@ -232,13 +241,16 @@ class Dask:
         return task.result
 
     async def _run(self, task: _Task, call: bytes, priority: float) -> None:
-        """Have a task computed, in the client's event loop; the cluster then forgets it."""
-        future = None
+        """Have a task computed, in the client's event loop; the cluster then forgets it.
+
+        Must not be cancelled: distributed fetches the results of several tasks at once, and the cancelled
+        fetch of one is the last of all. `_withdraw` ends it.
+        """
         try:
-            future = task.client.submit(
+            task.future = task.client.submit(
                 pickle.loads, call, key=task.key, priority=priority, workers=task.others or None
             )
-            outcome = await future.result()
+            outcome = await task.future.result()
             if isinstance(outcome, ClusterLost):
                 self._roster.note(outcome.event)  # type: ignore[attr-defined]
             if isinstance(outcome, TaskError | ExecutorError):
@@ -248,10 +260,8 @@ class Dask:
         except Exception as error:  # noqa: BLE001 - distributed raises anything while its client closes
             self._fail(task, error)
         finally:
-            if future is not None:
-                if not future.done():
-                    await future.cancel()  # else the scheduler may start it on another worker
-                future.release()
+            if task.future is not None:
+                task.future.release()
 
     def _on_lost(self, client: Any) -> None:
         """Fail the unfinished tasks of a client that was closed because its connection was lost."""

@@ -42,6 +42,16 @@ def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
     wait_for(lambda: set(threading.enumerate()) <= before)
 
 
+def test_a_cancelled_task_takes_no_other_with_it(cluster):
+    """Whatever it waits for: Dask fetches the results of several tasks at once."""
+    for milliseconds in range(100):
+        tasks = [cluster.call(int) for _ in range(8)]
+        time.sleep(1e-3 * (milliseconds % 20))
+        for task in tasks[::2]:
+            task.cancel()
+        assert [task.result(timeout=PATIENCE) for task in tasks[1::2]] == [0] * 4
+
+
 @pytest.mark.parametrize("dropped", [False, True])
 def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path, dropped):
     """On a busy machine Dask has dropped it by then, after 15 s."""
