@@ -240,6 +240,7 @@ def record(points: list[Point], micro_flight: float) -> Branch:
         multiplier=multiplier[:, :2],
         stable=np.abs(multiplier[:, 0]) < 1.0,
         violations=np.zeros(len(points), np.uint8),
+        cycle_state=np.array([point.state for point in points]).reshape(-1, 6),
     )
 
 

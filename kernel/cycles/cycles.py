@@ -34,6 +34,8 @@ _CLOSES: Final = 1e-6
 #: Rounding may hide a landing slower than this gap' (g/omega), or a take-off to a shorter flight, rad.
 _SOFT_LANDING: Final = 1e-5
 _SHORT_FLIGHT: Final = 1e-2
+#: The cycle through a state is one of the cell if it is within this in Gamma, relative.
+_SAME_CELL: Final = 1e-8
 #: Rounds simulated to read a cycle: up to two before it begins, its own, and a segment of the next.
 _ROUNDS: Final = 4.2
 #: Limits on the segments of a cycle, and on the kernel's phases in a plate period.
@@ -428,5 +430,23 @@ def cycle_from(plate: Any, cell: Cell, periods: int, state: Floats, within: floa
     cycles, x = guess
     point = cycles.at(x, float(cell.gamma))
     if point is None or np.abs(point.x - x).max() > within:
+        return None
+    return admissible(point)
+
+
+def cycle_through(plate: Any, cell: Cell, periods: int, state: Floats) -> Point | None:
+    """The cycle of `periods` plate periods through a state (6,) at its start, as `Point.state`, or None.
+
+    At a fold too, where Gamma does not tell its cycles apart.
+    """
+    gamma, omega, xi = map(float, cell)
+    whole = TWO_PI * periods
+    letters, times, _ = simulated(plate, cell, state, whole + 1.0, MOST * periods)
+    n = int(np.argmin(np.abs(np.cumsum(times) - whole))) + 1 if len(times) and state[2] == 0.0 else 0
+    start = [*(gamma * state[3:]), gamma * math.cos(state[0]), gamma * math.sin(state[0])]
+    x = np.array([*start, *times[:n]])
+    cycles = Cycles(plate, omega, xi, letters[:n], periods)
+    point = cycles.newton(x, cycles.on_branch(x).tangent) if n else None
+    if point is None or abs(point.parameter - gamma) > _SAME_CELL * gamma:
         return None
     return admissible(point)

@@ -100,6 +100,7 @@ class Branch(NamedTuple):
     multiplier: NDArray[np.complex128]  # (n, 2) of one cycle, the largest first
     stable: NDArray[np.bool_]  # (n,) all inside the unit circle
     violations: NDArray[np.uint8]  # (n,) 0: a cycle of the spring; or the bits of a Reason
+    cycle_state: Floats | None = None  # (n, 6) on each cycle, as STATE_FIELDS; None in closed form
 
 
 class Events(NamedTuple):

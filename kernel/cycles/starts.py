@@ -4,7 +4,7 @@ The state is exact for an ideal plate with restitution 0. Other contacts start f
 and velocities, near a cycle of their own.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from kernel.cycles.events import Branch, branch, flight_times, rows_of
 from kernel.cycles.roots import Floats, roots, stretches
 from kernel.cycles.spring import flight, spring, stuck
 from kernel.params import Cell, Start
+
+#: A cycle of the closed form is one of the cell if it is within this in Gamma, relative.
+_SAME_CELL: Final = 1e-10
 
 
 class CycleStart(NamedTuple):
@@ -53,6 +56,10 @@ def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> CycleStart |
 
     The cycle may be unstable or not admissible. None if the cell has no cycle. Raises KernelInputError.
     """
+    gamma, omega, xi = cell
+    itself = branch(omega, xi, periods, np.array([flight_time]))
+    if abs(itself.gamma[0] - gamma) < _SAME_CELL * gamma:
+        return _start(cell, itself, 0)  # at a fold too, beside which roots of Gamma(T) are hard to tell apart
     line = cycles_at(cell, periods)
     if not len(line.flight_time):
         return None

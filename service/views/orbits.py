@@ -175,7 +175,7 @@ def estimate(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
 VIEW: Final = View(
     "orbits", "Branches of a job's cycles", SweepSpec | OrbitsSpec, CellsQuery, compute, estimate,
     variables=(
-        *(ROWS[name] for name in (*OF_CELLS, "flight_time", *BRANCH)),
+        *(ROWS[name] for name in (*OF_CELLS, "cycle_state", "flight_time", *BRANCH)),
         *EVENTS, ROWS["event_branch"], *(ROWS[f"skipped_{name}"] for name in ("gamma", *_OF_SKIPPED)),
     ),
     rows="flight_time", printed=("points", "event_gamma", "skipped_gamma"), parts=parts, draw=of_spring.draw,

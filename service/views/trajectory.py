@@ -11,14 +11,14 @@ from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, branch
 from kernel.cycles.starts import start_on_cycle, start_on_stable_cycle
 from kernel.numerics.elementary import TWO_PI
-from kernel.params import Cell, KernelInputError, Outcome
+from kernel.params import STATE_FIELDS, Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
 from service.pictures import LINES
 from service.views import proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variables
 from service.views.view import Estimate, FirstDirection, Number, Query, View
-from worker.analysis.cycles import cycle_near
+from worker.analysis.cycles import cycle_near, cycle_with
 from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, check_kind, kind_of
@@ -54,16 +54,30 @@ DEPTH_OVER_LENGTH: Final = 1e-4
 _LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
 
 
+def _state(value: object) -> object:
+    """A list of six as a tuple."""
+    if not isinstance(value, list | tuple) or len(value) != len(STATE_FIELDS):
+        raise BrokenRuleError("", f"must be a list of {len(STATE_FIELDS)} numbers: {', '.join(STATE_FIELDS)}")
+    return tuple(value)
+
+
 class CyclePoint(OnCycle):
     """A cycle to start on.
 
     `flight_time`, rad: of the cell's cycles the one whose flight takes nearest to it, unstable ones too; of a
     soft contact or one with restitution, its own. Null: the stable one of the closed form with the longest
-    flight.
+    flight. `state`: a `cycle_state` of `orbits`, of any bounces; `flight_time` decides if it is on no cycle.
     """
 
     kind: Literal["cycle"] = "cycle"
     flight_time: Annotated[float, Field(gt=0.0, lt=_LONGEST), NUMBER] | None = None
+    state: (
+        Annotated[
+            tuple[Annotated[float, Field(ge=-MAX_HEIGHT, le=MAX_HEIGHT), NUMBER], ...],
+            BeforeValidator(_state),
+        ]
+        | None
+    ) = None
 
 
 class DropStart(Strict):
@@ -346,10 +360,13 @@ def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np
     """
     periods, time = point.periods, point.flight_time
     try:
-        if time is not None and model.has_own_cycles:
+        own = None
+        if point.state is not None and isinstance(model, Rigid | Soft):
+            own = cycle_with(model, cell, periods, np.array(point.state))
+        if own is None and time is not None and model.has_own_cycles:
             own = cycle_near(model, cell, periods, time)
-            if own is not None:
-                return own[1], own[0]
+        if own is not None:
+            return own[1], own[0]
         start = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error

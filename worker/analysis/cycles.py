@@ -21,7 +21,7 @@ from kernel.cycles.any_contact import (
 )
 from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
-from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from
+from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from, cycle_through
 from kernel.cycles.events import Branch, Events, Kind, join_events
 from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, follow, happens
 from kernel.params import Cell, Outcome
@@ -177,6 +177,12 @@ def follow_cells(
     if twice:
         branches += _doubled(branches, span, POINTS)
     return _recorded(branches, spec.micro_flight, skipped, flights=True)
+
+
+def cycle_with(contact: Contact, cell: Cell, periods: int, state: Floats) -> tuple[Branch, Floats] | None:
+    """The cycle of a contact through a state (6,) that branches have, as from `cycle_near`, or None."""
+    point = cycle_through(plate_at(contact, *cell), cell, periods, state)
+    return None if point is None else (record([point], MICRO_FLIGHT), point.state)
 
 
 def cycle_near(

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from kernel.cycles.events import Branch, Events, rows_of
 from kernel.cycles.roots import stretches
+from kernel.params import STATE_FIELDS
 from service.errors import TooLarge
 from service.pictures import IDEAL
 from service.views import selection
@@ -32,6 +33,8 @@ BALANCE: Final = tuple(array.name for array in ENERGY)
 
 #: Real and imaginary part of both multipliers.
 _PARTS: Final = {"multiplier": 2, "part": 2}
+#: Dimensions of the variables that have more than branch and point.
+_MORE: Final[dict[str, dict[str, int]]] = {"multipliers": _PARTS, "cycle_state": {"state": len(STATE_FIELDS)}}
 
 
 def _of_cycle(thing: str, what: str) -> tuple[Array, Array]:
@@ -52,6 +55,8 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
             "comment": f"0: a cycle of the spring; {MISSING_POINT}: no point",
         }),
         row("multipliers", ("branch", "point", *_PARTS), "<f8", "Floquet multipliers, the larger first"),
+        row("cycle_state", ("branch", "point", "state"), "<f8", "a state on the cycle",
+            fields=" ".join(STATE_FIELDS)),
         row("flights", ("branch", "point"), "<i4", "flights of the cycle; `flight_time` is the longest",
             comment="0: no point"),
         *ENERGY,
@@ -81,8 +86,7 @@ def padded(
 ) -> dict[str, xarray.Variable]:
     """Fields of all records as variables, padded to the longest record."""
     return {
-        name: _padded(ROWS[name], [_field(record, name) for record in records],
-                      (*dims, *_PARTS) if name == "multipliers" else dims)
+        name: _padded(ROWS[name], [_field(record, name) for record in records], (*dims, *_MORE.get(name, ())))
         for name in names
     }  # fmt: skip
 
@@ -90,7 +94,8 @@ def padded(
 def _padded(about: Array, values: Sequence[NDArray[Any]], dims: tuple[str, ...]) -> xarray.Variable:
     """Arrays as the rows of a variable. Raises TooLarge."""
     lengths = [
-        max((x.shape[i] for x in values), default=_PARTS.get(dim, 0)) for i, dim in enumerate(dims[1:])
+        max((x.shape[i] for x in values), default=_MORE.get(about.name, {}).get(dim, 0))
+        for i, dim in enumerate(dims[1:])
     ]
     if (size := prod((len(values), *lengths))) > selection.MAX_READ:
         raise TooLarge(
@@ -149,7 +154,7 @@ OF_CELLS: Final = (*(name for name in OF_POINT if name != "flight_time"), "fligh
 def with_flights(branches: Sequence[Branch]) -> dict[str, xarray.Variable]:
     """The points of branches, with all flights in `flight_time`."""
     flights = padded(("flight_time",), branches, ("branch", "point", "flight"))
-    return padded(OF_CELLS, branches) | flights
+    return padded((*OF_CELLS, "cycle_state"), branches) | flights
 
 
 def below(record: Record, gamma_max: float) -> list[Record]:

@@ -151,7 +151,7 @@ def compute(
     pieces = [piece for branch in branches for piece in below(branch, top)]
     data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)
     if plate is not None:
-        data |= padded(("flights",), pieces)
+        data |= padded(("flights", "cycle_state"), pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(query.omega, query.xi, x.periods, x.flight_time) for x in pieces])
     data |= event_columns(join_events([rows_of(e, e.gamma <= top) for e in events]))
@@ -234,6 +234,9 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 VIEW: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute, estimate,
-    variables=(*(ROWS[x] for x in (*OF_POINT, "flights", *BALANCE, *BRANCH, "event_complete")), *EVENTS),
+    variables=(
+        *(ROWS[x] for x in (*OF_POINT, "flights", "cycle_state", *BALANCE, *BRANCH, "event_complete")),
+        *EVENTS,
+    ),
     rows="gamma", printed=("points", "event_gamma"), parts=parts, draw=draw,
 )  # fmt: skip

@@ -126,14 +126,16 @@ export function cellColumns(variables, locate) {
 /** Whether a sweep stops each cell as soon as its cycle is certified. */
 export const certifies = ({ settle, exponents, model }) => settle === "auto" && !exponents && model.kind !== "stepped";
 const START_FIELDS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
-/** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time), with a drop, in contact, on an attractor. */
+/** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time, a state if it is known), with a drop, in contact, on an attractor. */
 export const startName = (kind, ...values) => [kind, ...values.map((value) => Number(value.toPrecision(12)))].join(":");
 
 /** The start of such a name, as trajectories take it; null for a direction. */
 export function startOf(name) {
   const [kind, ...values] = name.split(":");
-  const fields = START_FIELDS[kind];
-  return values.length === fields?.length ? { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])) } : null;
+  const fields = START_FIELDS[kind] ?? [];
+  const state = values.splice(fields.length).map(Number);
+  if (!fields.length || values.length < fields.length || ![0, kind === "cycle" && 6].includes(state.length)) return null;
+  return { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])), ...(state.length && { state }) };
 }
 
 /** Whether Eq. 25 is of a sweep. */

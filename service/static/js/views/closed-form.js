@@ -90,9 +90,9 @@ const cellBranchesPath = ({ job, along, place }) => (hasOwnCycles(job) || isIdea
  * `along` which they are, and their events. Of several flights, flight_time is the longest. */
 export function readBranches(result) {
   const { along = "gamma" } = result.attrs;
-  const cyclesOf = ({ bounces, periods, gamma, [along]: values, flight_time: times, stable, violations, multipliers }) => Array.from(gamma, (value, i) => ({
+  const cyclesOf = ({ bounces, periods, gamma, [along]: values, flight_time: times, stable, violations, multipliers, cycle_state: states }) => Array.from(gamma, (value, i) => ({
     bounces, periods, gamma: value, [along]: values[i], flight_time: times[(i * times.length) / gamma.length],
-    stable: stable[i], violations: violations[i], multipliers: multipliers.subarray(4 * i),
+    stable: stable[i], violations: violations[i], multipliers: multipliers.subarray(4 * i), state: states?.subarray(6 * i, 6 * i + 6),
   }));
   return { along, branches: partsOf(result, "branch").map(cyclesOf), events: partsOf(result, "event") };
 }
@@ -204,7 +204,7 @@ export const describeEvent = ({ kind, bounces, periods, flight_time: time, ...ev
 
 /** The motion that begins on a cycle, or next to an event. */
 export const startOn = (place, cycle, along = "gamma") => (cycle.start ? startOn(place, cycle.start, along)
-  : { ...place, [along]: cycle[along], direction: startName("cycle", cycle.periods, cycle.flight_time) });
+  : { ...place, [along]: cycle[along], direction: [startName("cycle", cycle.periods, cycle.flight_time), ...(cycle.state ?? [])].join(":") });
 
 export const branchLegend = (plate = "") => [["stable", STABLE], ["unstable", UNSTABLE]].map(([name, { width, dash }]) =>
   [name + plate, (ctx, x, y, theme) => legendLine(ctx, theme.branch, width, x, y, dash)]);

@@ -9,6 +9,7 @@ import pytest
 import served
 import xarray
 from fastapi.testclient import TestClient
+from json_results import from_json
 from matplotlib.figure import Figure
 from scripted import Held, wait_for
 from served import get
@@ -40,7 +41,7 @@ def test_branches_are_the_same_at_once_and_by_the_workers(
 ):
     answer = python_client.orbits(**SPRING, gamma_max=1e6, energy=True)
     assert set(answer.data_vars) | {"branch_bounces", "branch_periods", "points"} == {
-        row.name for row in SPRINGS["orbits"].variables if row.name not in ("flights", "event_complete")
+        row.name for row in SPRINGS["orbits"].variables if row.name not in ("flights", "cycle_state", "event_complete")
     }
     monkeypatch.setattr(orbits_view, "AT_ONCE_SECONDS", 0.0)
     again = python_client.orbits(**SPRING, gamma_max=1e6, energy=True, progress=False)
@@ -264,6 +265,16 @@ def test_a_ramp_along_omega_has_the_cycles_of_its_cells(client: TestClient, pyth
     longest = found.flight_time.values[doubled, :points, 0]
     np.testing.assert_array_equal(drawn.branch_flight_time.values[doubled, :points], longest)
     assert "stable cycle" in job.plot(along="omega", branches=True).get_legend_handles_labels()[1]
+    fold = int(np.nanargmin(np.abs(found.omega.values[0] - folds[0])))
+    for cycle in (found.isel(branch=doubled, point=points // 2), found.isel(branch=0, point=fold)):
+        start = {"periods": int(cycle.branch_periods), "state": cycle.cycle_state.values.tolist()}
+        cell = {"gamma": float(cycle.gamma), "omega": float(cycle.omega), "xi": 0.05}
+        moves = {**cell, "model": {"kind": "rigid"}, "periods": 6, "start": start}
+        path = from_json(client.post("/v1/trajectories", json=moves).content)
+        assert path.cycle_multipliers.values == pytest.approx(cycle.multipliers.values, abs=1e-6)
+        bounces = int(path.cycle_bounces)
+        flights = path.flight_time.values[path.flight_time.values > 0.05][:bounces]
+        assert sorted(flights)[::-1] == pytest.approx(cycle.flight_time.values[:bounces], abs=1e-9)
 
 
 def test_branches_along_xi_end_without_damping(python_client: Client):
