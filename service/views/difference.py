@@ -91,6 +91,7 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
+    at = f"At ξ = {xi.value:g}, " if len(study.spec.axis_values("xi")) > 1 and known.any() else ""
     rows = {array.name: array for array in _ROWS}
     return dataset(
         {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
@@ -98,7 +99,7 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
-            "sentence": _sentence(same, known, moved, shared) if common.any() else _APART,
+            "sentence": at + _sentence(same, known, moved, shared) if common.any() else _APART,
             "other": query.other, "other_direction": way, "other_xi": other_xi.value,
             "other_model": other.spec.model.kind, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),

@@ -168,6 +168,8 @@ def estimate(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
         selection.nearest_values(spec, query, DIMS)
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
     _line(spec, query)
+    if query.along != "gamma" and query.gamma_max is not None:
+        raise InvalidRequest.of("gamma_max", f"is of branches along gamma, and these are along {query.along}")
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 

@@ -309,6 +309,7 @@ def test_the_orbits_of_a_job_name_the_grid(client: TestClient, python_client: Cl
     here = f"/v1/jobs/{job.id}/orbits"
     assert "omega: is required: the sweep has 2 values" in refused(client, here, 422)
     assert "direction: must be 'rest'" in refused(client, here, 422, omega=0.5, direction="up")
+    assert "gamma_max: is of branches along gamma" in refused(client, here, 422, along="omega", gamma_max=3)
     found = job.orbits(0.507, progress=False)
     assert (float(found.omega), found.attrs["complete"]) == (0.51, 1)
 
