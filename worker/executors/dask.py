@@ -257,7 +257,7 @@ class Dask:
                 raise outcome
             with suppress(InvalidStateError):  # it was cancelled, or lost
                 task.result.set_result(outcome)
-        except Exception as error:  # noqa: BLE001 - distributed raises anything while its client closes
+        except (Exception, asyncio.CancelledError) as error:  # noqa: BLE001 - it raises anything as it closes
             self._fail(task, error)
         finally:
             if task.future is not None:
@@ -280,13 +280,13 @@ class Dask:
             if "why" in event:
                 self._fail(task, WorkerDied(event["why"]))
 
-    def _fail(self, task: _Task, error: Exception) -> None:
+    def _fail(self, task: _Task, error: BaseException) -> None:
         """End a task with an error; one that blames a worker names it, and the retry goes elsewhere."""
         if isinstance(error, KilledWorker):
             error = self._death(task, error.last_worker.address)
         elif isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] == "worker":
             error = WorkerRefused(f"the worker cannot load bouncing-spring: {error}")  # not judged yet
-        elif isinstance(error, CancelledError):
+        elif isinstance(error, CancelledError | asyncio.CancelledError):
             error = ClusterLost(f"the cluster dropped the task: {error}")
         elif task.client.status != "running" and not isinstance(error, TaskError | ExecutorError):
             error = ClusterLost(f"the connection to the scheduler was lost: {error}")
