@@ -183,12 +183,12 @@ class ResultMethods(Methods):
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
-        (plate amplitudes per rad), `multipliers`, `stable`, `violations`, `flights`, `flight_time` (rad),
-        `branch_bounces`, `branch_periods`, `points`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`,
-        `event_bounces`, `event_periods`, `event_flight_time` (rad), `event_violations`, `event_multipliers`,
-        `event_branch`, `skipped_gamma`, `skipped_bounces`, `skipped_periods`, `skipped_reason`. Waits up to
-        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
-        TooLarge naming what fits.
+        (plate amplitudes per rad), `multipliers`, `stable`, `violations`, `flights`, `cycle_state`,
+        `flight_time` (rad), `branch_bounces`, `branch_periods`, `points`, `event_kind`, `event_gamma`,
+        `event_omega`, `event_xi`, `event_bounces`, `event_periods`, `event_flight_time` (rad),
+        `event_violations`, `event_multipliers`, `event_branch`, `skipped_gamma`, `skipped_bounces`,
+        `skipped_periods`, `skipped_reason`. Waits up to `timeout` seconds for the workers, and shows
+        `progress`. Raises BadRequest naming the parameter, TooLarge naming what fits.
         """
         return self.result("orbits", omega=omega, xi=xi, direction=direction, gamma_max=gamma_max, doubled=doubled, along=along, gamma=gamma, timeout=timeout, progress=progress)
 
@@ -414,9 +414,9 @@ class SpringMethods(Methods):
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
         `takeoff_phase` (rad), `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per
         rad), `impact_velocity` (plate amplitudes per rad), `multipliers`, `stable`, `violations`, `flights`,
-        `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m A² ω²), `force`
-        (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`, `points`,
-        `event_complete`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`,
+        `cycle_state`, `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m
+        A² ω²), `force` (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`,
+        `points`, `event_complete`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`,
         `event_periods`, `event_flight_time` (rad), `event_violations`, `event_multipliers`. Waits up to
         `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
