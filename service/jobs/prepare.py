@@ -30,6 +30,8 @@ MAX_SPEC_CHARS: Final = 8_000_000
 
 #: Core-seconds from which on jobs measure the speed of a contact model: in less, starting up dominates.
 MIN_SECONDS: Final = 0.05
+#: The same for the speed of the machine, by jobs of other models.
+MACHINE_SECONDS: Final = 1.0
 
 #: Workers that may die while they choose a model before the job fails.
 MAX_DEATHS: Final = 3
@@ -178,28 +180,31 @@ class JobPreparer:
         """The cost of a study before it is computed.
 
         Core-seconds come from the cost table, scaled by the speed of the `measured` jobs with the same
-        contact model, if there are any.
+        contact model, if there are any, else of all: machines differ.
         """
         by_table: Cost = study_of(spec).estimate(spec, plan)
-        taken = expected = 0.0
+        times = []  # core-seconds of each job, and by the table
+        alike = []  # those with the same contact model
         for job in measured:
             try:
                 other = self.prepare(job)
             except LedgerUnusable:  # accepted by an older release
                 continue
             other_table = other.study.estimate(other.submitted, other.plan)
-            # done cells that were filled in do not show the speed
-            if _kind(other.submitted) == _kind(spec) and other_table.computed_cells is None:
-                taken += job.core_seconds
-                expected += job.cells_timed * other_table.core_seconds / other_table.cells
-        if min(taken, expected) < MIN_SECONDS:
-            return by_table
-        scaled = {
-            name: seconds * taken / expected
-            for name in ("core_seconds", "least_core_seconds", "longest_core_seconds")
-            if (seconds := getattr(by_table, name)) is not None
-        }
-        return by_table.model_copy(update={**scaled, "basis": "measured"})
+            if other_table.computed_cells is None:  # done cells that were filled in do not show the speed
+                expected = job.cells_timed * other_table.core_seconds / other_table.cells
+                times.append((job.core_seconds, expected))
+                alike += times[-1:] if _kind(other.submitted) == _kind(spec) else []
+        for basis, jobs, least in (("measured", alike, MIN_SECONDS), ("table", times, MACHINE_SECONDS)):
+            taken, expected = (sum(seconds) for seconds in zip((0.0, 0.0), *jobs, strict=True))
+            if min(taken, expected) >= least:
+                scaled = {
+                    name: seconds * taken / expected
+                    for name in ("core_seconds", "least_core_seconds", "longest_core_seconds")
+                    if (seconds := getattr(by_table, name)) is not None
+                }
+                return by_table.model_copy(update={**scaled, "basis": basis})
+        return by_table
 
 
 def _kind(spec: Any) -> tuple[type, str | None]:
