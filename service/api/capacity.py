@@ -191,7 +191,9 @@ def costly(
                     with suppress(asyncio.CancelledError, Busy):
                         (await turn).keep(0)
                     return Response(status_code=CLIENT_GONE)
-                asker = Asker(request.client)
+                client = request.client
+                # an address that a proxy forwards has no port: others may have it too
+                asker = Asker(client if client is not None and client.port else object())
                 work = functools.partial(asker.run, functools.partial(endpoint, **arguments))
                 computed: asyncio.Future[Response] = asyncio.ensure_future(turn.result().run(work))
                 if await _leaves(gone, computed):

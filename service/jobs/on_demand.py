@@ -5,6 +5,7 @@ continues, and a later request gets the result. The work stops when every client
 has not asked for ABANDONED_SECONDS.
 """
 
+import math
 import threading
 import time
 from collections import OrderedDict, deque
@@ -86,6 +87,7 @@ class OnDemandCache:
         self._results: OrderedDict[Hashable, _Result] = OrderedDict()
         self._waiting: deque[tuple[Future[Any], Sequence[Any]]] = deque()  # parts and their calls
         self._workers = self._running = 0
+        self._without_workers = -math.inf  # when there were none, the last time that somebody looked
         self._credit, self._credited = CREDIT_SECONDS, time.monotonic()
         self._look: threading.Timer | None = None
         self._closed = False
@@ -98,6 +100,8 @@ class OnDemandCache:
         """
         client = asker()
         self._workers = self._executor.workers()
+        if not self._workers:
+            self._without_workers = time.monotonic()
         result = self._asked(key, client.connection, calls)
         self._start()
         client.on_leave(partial(self._leave, key, client.connection))
@@ -210,8 +214,8 @@ class OnDemandCache:
         """End a part with the result or the error of its call."""
         with self._lock:
             self._running -= 1
-            if self._jobs_compute():
-                self._credit -= time.monotonic() - began
+            if self._jobs_compute():  # a wait for workers takes no time of theirs
+                self._credit -= time.monotonic() - max(began, self._without_workers)
         with suppress(InvalidStateError):  # cancelled meanwhile
             if error := CancelledError() if computed.cancelled() else computed.exception():
                 future.set_exception(error)

@@ -235,7 +235,8 @@ class ModelChoices:
         self._deaths: Counter[str] = Counter()  # of workers, by job id
 
     def __len__(self) -> int:
-        return len(self._choosing)
+        """Number of jobs that wait for a worker; a job whose model is chosen competes for a place."""
+        return sum(not choice.done() for choice in self._choosing.values())
 
     def keep(self, job_ids: set[str]) -> None:
         """Forget the choices of all other jobs: they were cancelled or deleted."""

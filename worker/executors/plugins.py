@@ -68,6 +68,8 @@ class WorkerAdmission(WorkerPlugin):
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
         _quiet_when_closing(worker)
+        # Paused, it would wait for memory that compiled kernels never give back. The watchdog judges memory.
+        worker.memory_manager.memory_pause_fraction = 1.0
         _set_available(worker, available=False)
         await self._judge_worker(worker)
         if worker.nanny is not None and threading.current_thread() is threading.main_thread():

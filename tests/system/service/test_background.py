@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 from paths import ROOT
-from scripted import DEADLINE, wait_for
+from scripted import DEADLINE, Held, wait_for
 from served import listening
 
 from kernel.numerics.cache import compiling
@@ -203,3 +203,21 @@ def test_a_worker_stops_what_it_computes_when_the_last_client_leaves(tmp_path: P
                 with pytest.raises(TimeoutError):
                     free.result(0.5)
             assert free.result(ABANDONED_SECONDS / 2) == (3, 2)  # and not because nobody has asked lately
+
+
+def test_a_client_behind_a_proxy_that_leaves_takes_nothing_from_others(tmp_path: Path):
+    """A proxy forwards addresses without ports: those of two tabs, or of two users, are the same."""
+    threshold = ("GET", "/v1/threshold?omega=0.6&xi=0.05&model=soft", None, {"X-Forwarded-For": "192.0.2.1"})
+    app = create_app(Settings(data=tmp_path), Held(), InThisProcess())
+    with listening(app, limited(DEADLINE, 9)) as address, closing(HTTPConnection(*address)) as staying:
+        cache = app.state.service.on_demand
+        cache._timeout = 0.0
+        staying.request(*threshold)
+        staying.getresponse().read()
+        [result] = cache._results.values()
+        asked, cache._timeout = max(result.askers.values()), 3.0
+        with closing(HTTPConnection(*address)) as leaving:
+            leaving.request(*threshold)
+            wait_for(lambda: max(result.askers.values()) > asked)
+            staying.request(*threshold)
+        assert staying.getresponse().status == 202

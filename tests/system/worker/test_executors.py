@@ -83,6 +83,17 @@ def test_workers_that_dask_has_dropped_are_replaced():
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
 
 
+def test_a_worker_computes_on_when_its_kernels_take_most_of_its_memory():
+    def fill(dask_worker):
+        used = dask_worker.monitor.get_process_memory()
+        dask_worker.memory_manager.memory_limit = int(used / 0.85)
+
+    with closing(Dask(workers=1, kernel_cache=CACHE)) as executor:
+        executor._connection.client.run(fill)
+        time.sleep(1.0)  # a worker looks at its memory ten times a second
+        assert executor.call(len, "abc").result(PATIENCE) == 3
+
+
 def test_a_scheduler_that_would_judge_deaths_itself_is_told_how_to_start(caplog):
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 3}),

@@ -59,6 +59,13 @@ def test_a_choice_for_a_job_that_was_cancelled_occupies_no_place(tmp_path: Path)
         wait_for(lambda: client.get(other).json()["state"] == "running")
 
 
+def test_more_jobs_than_places_choose_at_once_and_all_are_computed(tmp_path: Path):
+    with computing(tmp_path, active_jobs=1) as client:
+        sweeps = [SWEEP | {"omega": 0.5 + 0.01 * number} for number in range(3)]
+        places = [client.post("/v1/jobs", json=each).headers["Location"] for each in sweeps]
+        wait_for(lambda: all(get(client, here)["state"] == "done" for here in places))
+
+
 def test_job_and_store_show_the_choice_and_have_the_numbers_of_the_model_chosen(tmp_path: Path):
     with computing(tmp_path) as client:
         job = get(client, finished(client, SWEEP))

@@ -172,6 +172,21 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     assert cache.get("many", TWO) == list(range(16))
 
 
+def test_a_call_that_waited_for_workers_delays_no_other(monkeypatch: pytest.MonkeyPatch):
+    now = [100.0]
+    monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    pool, cache = started(jobs_compute=lambda: 1)
+    monkeypatch.setattr(pool, "workers", lambda: 0)
+    pending(cache, "first", [(print,)])
+    now[0] += 3600.0
+    pending(cache, "first", [(print,)])
+    monkeypatch.setattr(pool, "workers", lambda: 8)
+    pool.futures[0].set_result("computed")
+    assert cache.get("first", [(print,)]) == ["computed"]
+    pending(cache, "second", [(print,)])
+    assert len(pool.futures) == 2
+
+
 def test_a_part_that_fails_leaves_its_turn_to_the_next():
     pool, cache = started()
     pending(cache, "many", [(print,)] * 6)
