@@ -60,5 +60,5 @@ function mark(input, rule) {
   input.setAttribute("aria-describedby", id);
   const label = input.closest("label") ?? input;
   if (label.nextElementSibling?.id === id) label.nextElementSibling.textContent += `; ${rule}`;
-  else label.after(h("span", { className: "error", id }, rule));
+  else label.after(h("span", { className: "error", role: "alert", id }, rule));
 }

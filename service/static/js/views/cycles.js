@@ -82,9 +82,8 @@ export class Cycles extends PlotView {
     const cycles = cyclesAt(this.branches, gamma);
     const distance = ({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0));
     const nearest = cycles.indexOf(cycles.toSorted((a, b) => distance(a) - distance(b))[0]);
-    const isOnCycle = Boolean(current?.periods);
-    const next = clamp(nearest + (isOnCycle ? Math.sign(up) : 0), 0, cycles.length - 1);
-    return { gamma, ...(isOnCycle || up ? cycles[next] : null), sought: gamma };
+    const next = clamp(nearest + (current?.periods ? Math.sign(up) : 0), 0, cycles.length - 1);
+    return { gamma, ...cycles[next], sought: gamma };
   }
 
   at({ gamma, flight_time: time }) {
