@@ -18,10 +18,7 @@ export function showProblems(form, general, problem) {
 }
 
 function clear(form) {
-  for (const input of form.querySelectorAll("[aria-invalid]")) {
-    input.removeAttribute("aria-invalid");
-    input.removeAttribute("aria-describedby");
-  }
+  for (const input of form.querySelectorAll("[aria-invalid]")) ["aria-invalid", "aria-describedby"].forEach((name) => input.removeAttribute(name));
   form.querySelectorAll(".error").forEach((element) => element.remove());
 }
 
