@@ -310,8 +310,8 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
         after = None if point is None else next_cycle(margin, point)
         if point is not None and after is not None:
             kind, changed, first = after
-            turns = point.towards(last.tangent).rising * first.rising < 0.0
-            return first, [Event(kind, changed, turns)]
+            # not of `point`: the parameter stands still where a duration vanishes with its square root
+            return first, [Event(kind, changed, turns=last.rising * first.rising < 0.0)]
     if "C" not in last.letters:
         return None, []
     shortest = int(np.argmin(last.times))

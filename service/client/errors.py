@@ -89,7 +89,7 @@ class JobFailed(BounceError):
     """The job ended as failed; `job.error` is the reason."""
 
     def __init__(self, job: JobStatus) -> None:
-        super().__init__(f"job {job.id} failed: {job.error or 'no reason given'}")
+        super().__init__(f"job {job.id} failed: {job.error or 'no reason given'}; resume it to go on")
         self.job = job
 
 
@@ -97,9 +97,7 @@ class JobCancelled(BounceError):
     """The job was cancelled before it was done."""
 
     def __init__(self, job: JobStatus) -> None:
-        super().__init__(
-            f"job {job.id} was cancelled at {job.progress.whole_percent}%; submit the same sweep to resume it"
-        )
+        super().__init__(f"job {job.id} was cancelled at {job.progress.whole_percent}%; resume it to go on")
         self.job = job
 
 

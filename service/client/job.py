@@ -252,7 +252,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
             "diagram", the flights along one axis; "modes", the map over (Γ, Ω); "threshold", over Ω;
             "orbits", the branches of cycles; "return", each flight of a cell over the one before;
             "exponents", the Lyapunov exponents along one axis. By default the branches of a study of orbits,
-            the map of a sweep if Γ and Ω both have several values, else or with `data` the diagram.
+            the map of a sweep if Γ and Ω both have several values, else or with `data` or a value of
+            one of them the diagram.
         ax
             By default the current axes of pyplot if it is in use, else those of a new figure.
         branches
@@ -280,7 +281,8 @@ class Job(ResultReader, ResultMethods, JobStatus):
             name = "basins" if study == "basin" else study
             raise BounceError(f"kind: sweeps and cycles are plotted; {name} by result_file('{name}', 'png')")
         if kind is None:
-            is_map = {"gamma", "omega"} <= set(long) and "along" not in selection and data is None
+            is_line = data is not None or not selection.keys().isdisjoint(("along", "gamma", "omega"))
+            is_map = {"gamma", "omega"} <= set(long) and not is_line
             kind = "orbits" if study == "orbits" else "modes" if is_map else "diagram"
         if kind not in get_args(Kind):
             raise BounceError(f"kind: must be one of {', '.join(get_args(Kind))}, not {kind!r:.40}")

@@ -125,6 +125,7 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         invalid = page.locator("[aria-invalid=true]")
         invalid.wait_for()
         assert invalid.get_attribute("data-field") == "gamma.start"
+        assert page.get_by_role("alert").inner_text() == page.locator(".error").inner_text()
         assert "must not be above stop: swap the two" in page.locator(".error").inner_text()
         assert page.get_by_role("button", name="Compute").is_disabled()
         assert "see the marked fields" in page.locator(".cost").inner_text()
@@ -907,6 +908,9 @@ def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
         page.get_by_role("button", name="Play").wait_for()
         page.keyboard.press("+")
         page.wait_for_url(re.compile("x0="))
+        page.locator(".tabs a", has_text="Thresholds").focus()
+        page.keyboard.press("Enter")
+        page.locator(".tabs [aria-current]:focus", has_text="Thresholds").wait_for()
 
 
 def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address: str, loop: str):

@@ -18,10 +18,7 @@ export function showProblems(form, general, problem) {
 }
 
 function clear(form) {
-  for (const input of form.querySelectorAll("[aria-invalid]")) {
-    input.removeAttribute("aria-invalid");
-    input.removeAttribute("aria-describedby");
-  }
+  for (const input of form.querySelectorAll("[aria-invalid]")) ["aria-invalid", "aria-describedby"].forEach((name) => input.removeAttribute(name));
   form.querySelectorAll(".error").forEach((element) => element.remove());
 }
 
@@ -60,5 +57,5 @@ function mark(input, rule) {
   input.setAttribute("aria-describedby", id);
   const label = input.closest("label") ?? input;
   if (label.nextElementSibling?.id === id) label.nextElementSibling.textContent += `; ${rule}`;
-  else label.after(h("span", { className: "error", id }, rule));
+  else label.after(h("span", { className: "error", role: "alert", id }, rule));
 }

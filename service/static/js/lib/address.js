@@ -52,9 +52,7 @@ export function replace(path, query = {}) {
 export const currentQuery = () => (pending ?? currentAddress()).query;
 
 /** Drop changes not written yet: they belong to a view that was left. */
-export function discardPending() {
-  pending = null;
-}
+export const discardPending = () => { pending = null; };
 
 /** The zoom window {x0, x1, y0, y1} in a query; null without a valid one. */
 export function windowIn(query) {

@@ -13,7 +13,7 @@ export function scale(low, high, from, to, log = false) {
 }
 
 /** About `n` round values within [low, high], with their text; at least two, and three where these are at most 1.5n. */
-export function ticks(low, high, n, log = false, tries = 3) {
+export function ticks(low, high, n, log = false, tries = 3, most = 1.5 * n) {
   if (log && high / low > 30) return decades(low, high);
   const rough = (high - low) / Math.max(n, 1);
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -22,8 +22,8 @@ export function ticks(low, high, n, log = false, tries = 3) {
   for (let i = Math.ceil(low / step - 1e-9); i * step <= high * (1 + 1e-15) + step * 1e-9; i++) values.push(i * step);
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   if (values.length < 3 && tries) {
-    const finer = ticks(low, high, 2 * Math.max(n, 1), false, tries - 1);
-    if (values.length < 2 || finer.length <= 1.5 * n) return finer;
+    const finer = ticks(low, high, 2 * Math.max(n, 1), false, tries - 1, most);
+    if (values.length < 2 || finer.length <= most) return finer;
   }
   return values.map((value) => ({ value, text: tickText(value, digits) }));
 }

@@ -80,16 +80,12 @@ export class Cycles extends PlotView {
     const from = current?.sought ?? current?.gamma ?? this.place.gamma ?? this.maxGamma / 2;
     const gamma = clamp(from + STEP * right, STEP, this.maxGamma);
     const cycles = cyclesAt(this.branches, gamma);
-    const distance = ({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0));
-    const nearest = cycles.indexOf(cycles.toSorted((a, b) => distance(a) - distance(b))[0]);
-    const isOnCycle = Boolean(current?.periods);
-    const next = clamp(nearest + (isOnCycle ? Math.sign(up) : 0), 0, cycles.length - 1);
-    return { gamma, ...(isOnCycle || up ? cycles[next] : null), sought: gamma };
+    const distances = cycles.map(({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0)));
+    const next = distances.indexOf(Math.min(...distances)) + (current?.periods ? Math.sign(up) : 0);
+    return { gamma, ...cycles[clamp(next, 0, cycles.length - 1)], sought: gamma };
   }
 
-  at({ gamma, flight_time: time }) {
-    return [gamma, time];
-  }
+  at = ({ gamma, flight_time: time }) => [gamma, time];
 
   describe(cell) {
     return `${cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`} · ${this.textOf(this.spring)}`;

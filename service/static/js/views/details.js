@@ -10,6 +10,7 @@ import { table } from "../lib/table.js";
 import { Snippets } from "../lib/snippets.js";
 import { wholeStudy } from "./measured.js";
 import { sourceOf } from "./plot-view.js";
+import { isAudited } from "./progress.js";
 
 export class Details {
   constructor(root, { sources: [{ job }], signal }) {
@@ -91,6 +92,7 @@ function auditOf(job) {
     answer.replaceChildren(h("p", {}, `${sentence[0].toUpperCase()}${sentence.slice(1)}.`), questionTable(result), changedCells(job, result));
     announce(sentence);
   };
+  if (isAudited(job) && !shared) audit().catch(problem.show); // the service has the answer
   return h("section", {},
     h("h2", {}, "Audit"),
     h("p", {}, "Random cells are computed again so that they can be trusted: how many of all cells would change, at most? It takes about a tenth of the sweep's time, of a small one more."),

@@ -139,11 +139,13 @@ export class JobView {
     const tabs = this.#tabs();
     const current = tabs[path[2]] ? path[2] : Object.keys(tabs)[0];
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
+    const isFocused = this.tabs.contains(document.activeElement);
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
       h("a", {
         href: target(tab, query), "aria-current": tab === current ? "page" : undefined,
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
+    if (isFocused) this.tabs.querySelector("[aria-current]").focus(); // the link pressed is replaced
     this.leaving?.abort();
     this.leaving = new AbortController(); // of this tab
     this.controls.replaceChildren();

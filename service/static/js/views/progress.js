@@ -80,12 +80,16 @@ const notice = ({ notice: text, replaced_by: successor }) => [
 ];
 
 /** How far the budget is that a sweep is a level of: what is computed for it, or what its audit says. */
-function level({ id, budget: { doing, computing, answer, seconds_left: left, over, error } }) {
+function level(job) {
+  const { id, budget: { doing, computing, answer, seconds_left: left, over, error } } = job;
   const text = (error ?? doing).replace(/gamma|omega|xi/g, (axis) => SYMBOL[axis]);
   if (!over) return [computing && computing !== id ? h("a", { href: link(["job", computing]) }, text) : text, `, ${duration(left)} left`];
   if (answer && answer !== id) return [h("a", { href: link(["job", answer]) }, "Show the finest level of its time")];
-  return text.startsWith("no audit") ? [text] : [h("a", { href: link(["job", id, "details"]) }, "How wrong it can be")];
+  return isAudited(job) ? [h("a", { href: link(["job", id, "details"]) }, "How wrong it can be")] : [text];
 }
+
+/** Whether a sweep is the answer of a budget that has audited it. */
+export const isAudited = ({ id, budget }) => Boolean(budget?.over) && budget.answer === id && !budget.doing.startsWith("no audit");
 
 /** How many cells of a sweep were still settling, and what to do; nothing where none was. */
 export function settling({ id, progress, spec }) {

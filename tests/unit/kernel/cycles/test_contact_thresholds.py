@@ -13,6 +13,7 @@ from kernel.threshold import threshold
 TABLE = [
     (soft(), 0.60, 0.05, 0.553241345562, 0.915986309968),
     (soft(adhesive=False), 0.60, 0.05, 0.553238870182, 0.915985867041),
+    (soft(0.1), 0.62, 0.05, 0.507537651106, 0.871812163311),  # a graze on the way, where a flight vanishes
     (rigid(0.5), 0.66, 0.05, 0.695395334976, 0.805215730572),
     (rigid(0.9), 0.60, 0.05, 0.393179810088, math.nan),  # of three hops, never stuck
     (rigid(0.875), 0.62, 0.05, 0.447349850115, math.nan),  # stable up to a flip, Gamma = 0.44751

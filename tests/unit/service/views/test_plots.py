@@ -42,7 +42,7 @@ def test_what_is_drawn_by_default(job: Job, python_client: Client):
     assert over_omega.plot().get_xlabel() == AXES["omega"]
     assert over_omega.plot(along="omega").get_xlabel() == AXES["omega"]
     assert job.plot("diagram", along="omega", gamma=1.5).get_xlabel() == AXES["omega"]
-    assert job.plot(along="gamma", omega=0.6).get_ylabel() == FLIGHT
+    assert job.plot(along="gamma", omega=0.6).get_ylabel() == job.plot(omega=0.6).get_ylabel() == FLIGHT
     measured = {"gamma": [1.5], "flight_time": [3.0]}
     assert job.plot(data=measured, omega=0.6).get_ylabel() == FLIGHT
     both = job.plot("diagram", omega=0.6, ax=Figure().subplots())
