@@ -17,6 +17,8 @@ from worker.sweep.protocols import KINDS, PROTOCOLS
 
 #: Shares of a budget for the second level, by the table of costs, and for the audit of the answer.
 SECOND, AUDIT = 0.05, 0.1
+#: A sweep that takes less than this share, by the table, has no coarser levels.
+AT_ONCE: Final = 0.005
 #: Largest part of the sweep's cells in the second level: so finer levels can differ by little.
 SECOND_PART: Final = 1 / 12
 #: Most cells of the third level, in multiples of the second. Both separate the time in which a level begins
@@ -96,9 +98,9 @@ def within(
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second
-    second = SECOND * budget * by_table
+    second, at_once = SECOND * budget * by_table, AT_ONCE * budget * by_table
     complete = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
-    steps: Steps | None = complete or (WHOLE if second >= whole else coarsest(spec))
+    steps: Steps | None = complete or (WHOLE if at_once >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         measured = not runner.is_done(part)

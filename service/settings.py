@@ -110,7 +110,7 @@ class Settings(BaseSettings):
         None, description="TLS certificate that the service presents to the scheduler."
     )
     scheduler_key: Path | None = Field(None, description="Private key of `scheduler_cert`.")
-    worker_memory: Annotated[int, Field(ge=200_000_000, le=2**62)] | None = Field(
+    worker_memory: Annotated[int, Field(ge=500_000_000, le=2**62)] | None = Field(
         None, description="Bytes of memory of an embedded worker; default: its share of the machine's."
     )
 

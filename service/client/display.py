@@ -125,7 +125,7 @@ def settling_note(job: JobStatus) -> str:
         return ""
     return (
         f"{settling:,} of {job.progress.cells_done:,} cells were still settling: "
-        "give them a larger until, with settle auto"
+        "with settle auto, a larger until gives them time"
     )
 
 
