@@ -243,8 +243,8 @@ class Dask:
     async def _run(self, task: _Task, call: bytes, priority: float) -> None:
         """Have a task computed, in the client's event loop; the cluster then forgets it.
 
-        Must not be cancelled: distributed fetches the results of several tasks at once, and the cancelled
-        fetch of one is the last of all. `_withdraw` ends it.
+        Must not be cancelled: distributed fetches the results of several tasks at once, and after a cancelled
+        fetch no task gets its result. `_withdraw` ends it.
         """
         try:
             task.future = task.client.submit(
