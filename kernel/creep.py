@@ -133,7 +133,7 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
         states = _strobed(plate, cell, state, periods, _ROUNDS)
         for guess in (states.mean(axis=0).round(15), *states[:_GUESSES]):
             around = cycle_from(plate, cell, periods, guess)
-            if around is None or around.multipliers()[0].imag == 0.0 or repeats(around):
+            if around is None or around.multipliers[0].imag == 0.0 or repeats(around):
                 continue
             centre = _strobed(plate, cell, around.state, 1, 1)[:, 4:]
             q, q1 = ((states[:, 4:] - centre) / np.abs(centre)).T

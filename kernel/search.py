@@ -165,7 +165,7 @@ class _Search:
         line = both_ways(point, (_DEEPEST * self.top, max(self.top, point.parameter)), _POINTS)
         self.lines.append(line)
         for event in line.events:
-            mu = np.abs(event.point.multipliers()[0])
+            mu = np.abs(event.point.multipliers[0])
             if event.point.parameter >= self.bound or not mu < _CRITICAL:
                 continue
             folds = [fold_of(event)] if event.kind is Kind.FOLD else []

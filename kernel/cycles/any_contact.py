@@ -224,7 +224,7 @@ def record(points: list[Point], micro_flight: float) -> Branch:
     longest = np.array([max(times) for times in flights])
     segments = [int(np.flatnonzero(p.times == t)[-1]) for p, t in zip(points, longest, strict=True)]
     begin = np.array([p.round.starts[i] for p, i in zip(points, segments, strict=True)]).reshape(-1, 7)
-    multiplier = np.array([point.multipliers() for point in points]).reshape(-1, 4)
+    multiplier = np.array([point.multipliers for point in points]).reshape(-1, 4)
     return Branch(
         periods=points[0].cycles.periods,
         omega=omega,

@@ -1,14 +1,15 @@
 """Cycles of any contact: Newton's method, multipliers, the kernel as judge, and cycles read from a state."""
 
 import math
-from itertools import combinations
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cycles.roots import Floats
-from kernel.cycles.segments import START, Round, go_round, newton_step, simulated
+from kernel.cycles.segments import ALONG, START, Round, monodromy, newton, simulated
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
 from kernel.stopping import check
@@ -16,14 +17,8 @@ from kernel.stopping import check
 #: Limit on Newton steps, and the relative size of the last.
 _NEWTON: Final = 14
 _CONVERGED: Final = 1e-12
-#: A Newton step above this, relative, in any unknown has left the branch.
-_AWAY: Final = 2.0
 #: Newton's method keeps c + i s on a line. Repeated this often along the new phase, it keeps Gamma.
 _SAME_GAMMA: Final = 5
-#: Relative step of the derivatives by Omega and xi.
-_DIFFERENCE: Final = 1e-6
-#: The least xi whose step is relative to it. xi itself may be 0, and both sides of it have cycles.
-_UNDAMPED: Final = 1e-3
 
 #: Limit on recounts of the hops of one solution.
 _RECOUNTS: Final = 8
@@ -42,12 +37,16 @@ _ROUNDS: Final = 4.2
 _LONGEST: Final = 300
 MOST: Final = 4000
 
+#: Indices of each two of the multipliers.
+_PAIRS: Final = np.triu_indices(4, 1)
+
 #: Letters of flights that end with a landing.
 LANDINGS: Final = "Fhcsz"
 FLIGHTS: Final = LANDINGS + "b"
 
 
-class Point(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Point:
     """A cycle on a branch, with its equations."""
 
     cycles: "Cycles"
@@ -64,7 +63,7 @@ class Point(NamedTuple):
         """Durations of the segments (n,), rad."""
         return self.x[START : START + len(self.cycles.letters)]
 
-    @property
+    @cached_property
     def flights(self) -> list[float]:
         """Durations of the flights in order, rad."""
         return [t for t, letter in zip(self.times.tolist(), self.letters, strict=True) if letter in FLIGHTS]
@@ -73,12 +72,12 @@ class Point(NamedTuple):
     def cell(self) -> Cell:
         return self.cycles.cell(self.x)
 
-    @property
+    @cached_property
     def parameter(self) -> float:
         """Value of the parameter along which the branch is followed."""
         return self.cycles.parameter(self.x)
 
-    @property
+    @cached_property
     def rising(self) -> float:
         """Rate of the parameter along the branch; zero at a fold."""
         return float(self.cycles.gradient(self.x) @ self.tangent)
@@ -95,7 +94,7 @@ class Point(NamedTuple):
 
     def towards(self, way: Floats) -> "Point":
         """The cycle with a tangent that leans towards `way` (m,)."""
-        return self if self.tangent @ way > 0.0 else self._replace(tangent=-self.tangent)
+        return self if self.tangent @ way > 0.0 else replace(self, tangent=-self.tangent)
 
     def begun(self, j: int) -> "Point":
         """The same cycle, begun with segment j, where the gap must be zero."""
@@ -106,27 +105,13 @@ class Point(NamedTuple):
         x = np.concatenate([self.round.starts[j, 1 : 1 + START], np.roll(self.times, -j), rest])
         return self.cycles._replace(letters=letters).on_branch(x)
 
+    @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
         """The Floquet multipliers (4,), the largest first; infinite where an event does not fix its duration.
 
-        They belong to the map of (gap', q, q', phase) over one cycle at fixed parameters. Events determine
-        the durations.
+        They belong to the map of (gap', q, q', phase) over one cycle at fixed parameters.
         """
-        n = len(self.letters)
-        c, s = self.x[3:START]
-        slope = self.round.slope
-
-        def by_start(rows: Floats) -> Floats:
-            return np.column_stack([rows[:, :3], c * rows[:, 4] - s * rows[:, 3]])
-
-        events, final = slope[:n], slope[n : n + 3]
-        times = -by_start(events)
-        with np.errstate(all="ignore"):
-            for i in range(n):  # an event depends on the durations up to its own
-                times[i] = (times[i] - events[i, START : START + i] @ times[:i]) / events[i, START + i]
-            whole = np.eye(4)
-            whole[:3] += by_start(final) + final[:, START : START + n] @ times
-            whole[3] += times.sum(axis=0)
+        whole = monodromy(len(self.letters), self.round.slope, self.x)
         if not np.isfinite(whole).all():
             return np.full(4, np.inf, np.complex128)
         mu = np.linalg.eigvals(whole).astype(np.complex128)
@@ -135,12 +120,12 @@ class Point(NamedTuple):
     @property
     def stable(self) -> bool:
         """Whether all multipliers lie inside the unit circle."""
-        return bool(np.abs(self.multipliers()[0]) < 1.0)
+        return bool(np.abs(self.multipliers[0]) < 1.0)
 
     def tests(self) -> Floats:
         """Three functions that change sign at a fold, a flip and a Neimark-Sacker point, in this order."""
-        mu = self.multipliers()
-        torus = np.prod([1.0 - a * b for a, b in combinations(mu, 2)])
+        mu = self.multipliers
+        torus = np.prod(1.0 - mu[_PAIRS[0]] * mu[_PAIRS[1]])
         return np.array([self.rising, np.prod(1.0 + mu).real, torus.real])
 
 
@@ -175,20 +160,7 @@ class Cycles(NamedTuple):
 
     def equations(self, x: Floats) -> Round:
         """One round at unknowns x (m,), with the equations' values (m - 1,) and slopes (m - 1, m)."""
-        gamma, omega, xi = self.cell(x)
-        if self.along == "gamma":
-            return go_round(self.plate, omega, xi, self.code, self.periods, x)
-        u = np.ascontiguousarray(x[:-1])
-        cycle = go_round(self.plate, omega, xi, self.code, self.periods, u)
-        step = _DIFFERENCE * max(float(x[-1]), _UNDAMPED if self.along == "xi" else 0.0)
-        sides = []
-        for change in (step, -step):
-            _, omega, xi = self.cell(x + change * self.gradient(x))
-            sides.append(go_round(self.plate, omega, xi, self.code, self.periods, u).value)
-        slope = np.zeros((len(u), len(x)))
-        slope[:-1, :-1], slope[:-1, -1] = cycle.slope, (sides[0] - sides[1]) / (2.0 * step)
-        slope[-1, 3:START] = u[3:START] / gamma
-        return cycle._replace(value=np.append(cycle.value, gamma - self.gamma), slope=slope)
+        return self._solved(x, x, 0.0, 0.0, 0)[2]
 
     def newton(
         self, x: Floats, direction: Floats, goal: float | None = None, converged: float = _CONVERGED
@@ -198,24 +170,17 @@ class Cycles(NamedTuple):
         goal: by default its value at the guess x. converged: relative size of the last step. The tangent
         leans towards `direction` (m,).
         """
+        check()
         goal = float(direction @ x) if goal is None else goal
-        done = False
-        for _ in range(_NEWTON):
-            check()
-            with np.errstate(all="ignore"):
-                cycle = self.equations(x)
-            if not (np.isfinite(cycle.value).all() and np.isfinite(cycle.slope).all()):
-                return None
-            distance = float(direction @ x) - goal
-            step, tangent = newton_step(len(self.letters), cycle.slope, cycle.value, direction, distance)
-            if done:
-                return Point(self, x, cycle, tangent / math.sqrt(tangent @ tangent))
-            size, scale = np.abs(step).max(), max(1.0, np.abs(x).max())
-            if not size < _AWAY * scale:
-                return None
-            x = x - step
-            done = size < converged * scale
-        return None
+        found, x, cycle, tangent = self._solved(x, direction, goal, converged, _NEWTON)
+        return Point(self, x, cycle, tangent) if found else None
+
+    def _solved(
+        self, x: Floats, direction: Floats, goal: float, converged: float, most: int
+    ) -> tuple[bool, Floats, Round, Floats]:
+        """`segments.newton` for this signature."""
+        cycles = self.plate, self.omega, self.xi, self.code, self.periods, ALONG.index(self.along), self.gamma
+        return newton(*cycles, x, direction, goal, converged, most)
 
     def at(self, x: Floats, parameter: float) -> Point | None:
         """The cycle near x (m,) at a value of the parameter."""
@@ -230,7 +195,7 @@ class Cycles(NamedTuple):
 
     def parameter(self, x: Floats) -> float:
         """Value of the parameter at unknowns x (m,)."""
-        return float(getattr(self.cell(x), self.along))
+        return math.hypot(x[3], x[4]) if self.along == "gamma" else float(x[-1])
 
     def on_branch(self, x: Floats) -> Point:
         """The known cycle at unknowns x (m,), with a tangent of either sign."""

@@ -89,7 +89,7 @@ def ended(event: Event) -> Descent:
     point = event.point
     reason = f"{cycle_of(point).name} ends at a {event.kind} at Gamma = {point.parameter:.6f}"
     if event.kind is Kind.NEIMARK_SACKER:
-        turn = abs(np.angle(point.multipliers()[0])) / TWO_PI
+        turn = abs(np.angle(point.multipliers[0])) / TWO_PI
         reason += f": a torus begins with rotation number {turn:.6f}"
     return Descent(point.parameter, None, reason, point)
 
@@ -111,14 +111,14 @@ def folds_of_twice(flip: Point, below: float) -> list[Fold]:
 def fold_of(event: Event) -> Fold:
     """The record of a fold; NaN where a neighbour is missing."""
     point = event.point
-    mu = point.multipliers()
+    mu = point.multipliers
     mu = np.delete(mu, np.argmin(np.abs(mu - 1.0)))  # largest first
     curvature = slope = np.nan
     sides = [ahead(point, step) for step in (-_ASIDE, _ASIDE)]
     if sides[0] is not None and sides[1] is not None:
         curvature = (sides[0].parameter + sides[1].parameter - 2.0 * point.parameter) / _ASIDE**2
         # the product of 1 - mu vanishes at the fold; without its own factor it does not
-        low, high = (np.prod(1.0 - side.multipliers()) for side in sides if side is not None)
+        low, high = (np.prod(1.0 - side.multipliers) for side in sides if side is not None)
         slope = float(np.real((low - high) / (2.0 * _ASIDE * np.prod(1.0 - mu))))
     balance = cycle_energy(point) if set(point.letters) <= set("Ssz") else None
     first, other = point.flights[0], float(mu[0].real)

@@ -7,6 +7,7 @@ the cycle change, the branch goes on with the new ones (`kernel.cycles.changes`)
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from typing import Final, NamedTuple
@@ -33,6 +34,8 @@ _NEARLY: Final = 1e-11
 #: Steps of the search for an event. Its range is stretched up to this often, by this factor.
 _STEPS: Final = 80
 _STRETCHES, _STRETCH = 8, 1.3
+#: A value is zero below this part of those at the ends of the range, or if it is the best of this many since.
+_ZERO, _STALLED = 1e-13, 4
 
 #: A multiplier this close to 1, -1 or the unit circle makes an event.
 _AT: Final = 1e-4
@@ -100,7 +103,7 @@ def follow(
     where the parameter leaves `span`, at the first cycle for which `until` holds, and where a closed branch
     returns to `point`. Any other end is an event whose kind is an `End`.
     """
-    origin = point = point if point.rising * way >= 0.0 else point._replace(tangent=-point.tangent)
+    origin = point = point if point.rising * way >= 0.0 else replace(point, tangent=-point.tangent)
     line: list[Point] = []
     events: list[Event] = []
 
@@ -233,7 +236,7 @@ def _test(which: int, point: Point) -> float:
 
 def happens(kind: Kind | End, point: Point) -> bool:
     """Whether a multiplier lies at the value of this kind. A test also changes sign at a pole."""
-    mu = point.multipliers()
+    mu = point.multipliers
     if kind is Kind.FOLD:
         return bool(np.abs(mu - 1.0).min() < _AT)
     if kind is Kind.FLIP:
@@ -280,14 +283,16 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
         best, high_value = value_at(high)
     else:
         return None
-    best_value, side, first = abs(high_value), 0, low_value
+    best_value, side, first, since = abs(high_value), 0, low_value, 0
+    near_zero = max(1e-15, _ZERO * min(abs(low_value), abs(high_value)))
     for k in range(_STEPS):
         x = low - low_value * (high - low) / (high_value - low_value) if k % 4 < 3 else 0.5 * (low + high)
         x = x if low < x < high else 0.5 * (low + high)
         point, value = value_at(x)
-        if point is not None and abs(value) <= best_value:
-            best, best_value = point, abs(value)
-        if abs(value) < 1e-15 or high - low < 1e-16 + 1e-13 * reach:
+        since += 1
+        if point is not None and abs(value) < best_value:
+            best, best_value, since = point, abs(value), 0
+        if best_value < near_zero or since > _STALLED or high - low < 1e-16 + 1e-13 * reach:
             break
         if value * first > 0.0:
             low, low_value, high_value = x, value, high_value * (0.5 if side < 0 else 1.0)
@@ -327,7 +332,7 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
 
 def _multipliers_jump(a: Point, b: Point) -> bool:
     """Whether the leading multipliers of two neighbours differ."""
-    x, y = a.multipliers()[0], b.multipliers()[0]
+    x, y = a.multipliers[0], b.multipliers[0]
     return bool(min(abs(x - y), abs(x - y.conjugate())) > _JUMP * (1.0 + abs(x)))
 
 

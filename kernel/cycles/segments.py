@@ -50,6 +50,15 @@ _TERMS: Final = 24
 #: Elimination takes the next row if its pivot is at least this part of the largest.
 _PIVOT: Final = 0.05
 
+#: Parameters along which branches are followed.
+ALONG: Final = ("gamma", "omega", "xi")
+#: Relative step of the derivatives by Omega and xi.
+_DIFFERENCE: Final = 1e-6
+#: The least xi whose step is relative to it. xi itself may be 0, and both sides of it have cycles.
+_UNDAMPED: Final = 1e-3
+#: A Newton step above this, relative, in any unknown has left the branch.
+_AWAY: Final = 2.0
+
 #: Limit on the evaluations of one phase of the kernel.
 _BUDGET: Final = 1_000_000
 
@@ -424,6 +433,106 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
     slope[m - 2] = 0.0
     slope[m - 2, START:] = 1.0
     return Round(value, slope, starts, rates, forces)
+
+
+@allocating
+def equations(
+    plate: Any, omega: float, xi: float, letters: Any, periods: int, along: int, gamma: float, x: Any
+) -> Round:  # fmt: skip
+    """The equations at unknowns x (m,) of a branch along one of `ALONG`, by its index.
+
+    Along Gamma those of `go_round`. Else Omega or xi is the last unknown, which replaces the argument, and
+    Gamma = `gamma` the last equation; derivatives by it are differences.
+    """
+    if along == 0:
+        return go_round(plate, omega, xi, letters, periods, x)
+    n = len(x) - 1
+    u, value, slope = np.empty(n), np.empty(n), np.zeros((n, n + 1))
+    for i in range(n):
+        u[i] = x[i]
+    step = _DIFFERENCE * max(x[n], _UNDAMPED if along == 2 else 0.0)
+    for side in (-1.0, 1.0, 0.0):
+        beside = x[n] + side * step
+        cycle = go_round(
+            plate, beside if along == 1 else omega, beside if along == 2 else xi, letters, periods, u
+        )
+        for i in range(n - 1):
+            slope[i, n] += cycle.value[i] * (0.5 * side / step)
+    for i in range(n - 1):
+        value[i] = cycle.value[i]
+        for j in range(n):
+            slope[i, j] = cycle.slope[i, j]
+    value[n - 1] = math.sqrt(u[3] * u[3] + u[4] * u[4]) - gamma
+    slope[n - 1, 3], slope[n - 1, 4] = u[3] / gamma, u[4] / gamma
+    return Round(value, slope, cycle.starts, cycle.rates, cycle.forces)
+
+
+@allocating
+def newton(
+    plate: Any, omega: float, xi: float, letters: Any, periods: int, along: int, gamma: float, x: Any,
+    direction: Any, goal: float, converged: float, most: int,
+) -> tuple[bool, Any, Round, Any]:  # fmt: skip
+    """Newton's method for `equations` from x (m,) on the plane direction . x = goal, at most `most` steps.
+
+    converged: size of the last step, relative to x. Returns whether it converged, the unknowns, the equations
+    there and the unit tangent (m,). Without steps it evaluates the equations.
+    """
+    m, done, found = len(x), False, False
+    x, tangent = x.copy(), direction.copy()
+    for count in range(most + 1):
+        cycle = equations(plate, omega, xi, letters, periods, along, gamma, x)
+        if count == most or not _is_finite(cycle):
+            break
+        distance = -goal
+        for i in range(m):
+            distance += direction[i] * x[i]
+        step, tangent = newton_step(len(letters), cycle.slope, cycle.value, direction, distance)
+        size, scale, square = 0.0, 1.0, 0.0
+        for i in range(m):
+            size, scale = max(size, abs(step[i])), max(scale, abs(x[i]))
+            square += tangent[i] * tangent[i]
+        found = done
+        if found:
+            for i in range(m):
+                tangent[i] /= math.sqrt(square)
+        if found or not size < _AWAY * scale:
+            break
+        for i in range(m):
+            x[i] -= step[i]
+        done = size < converged * scale
+    return found, x, cycle, tangent
+
+
+@jit
+def _is_finite(cycle: Round) -> bool:
+    """Whether all values and slopes are finite numbers."""
+    total = 0.0
+    for i in range(len(cycle.value)):
+        total += 0.0 * cycle.value[i]
+        for j in range(cycle.slope.shape[1]):
+            total += 0.0 * cycle.slope[i, j]
+    return total == 0.0
+
+
+@allocating
+def monodromy(segments: int, slope: Any, u: Any) -> Any:
+    """The derivative (4, 4) of the map of (gap', q, q', phase) over one round, at fixed parameters.
+
+    slope: of `Round` at unknowns u. Events determine the durations, each from those up to its own.
+    """
+    times = np.empty((segments, 4))
+    whole = np.eye(4)
+    for i in range(segments + 3):
+        for j in range(4):
+            by_start = slope[i, j] if j < 3 else u[3] * slope[i, 4] - u[4] * slope[i, 3]
+            for k in range(min(i, segments)):
+                by_start += slope[i, START + k] * times[k, j]
+            if i < segments:
+                times[i, j] = -by_start / slope[i, START + i]
+                whole[3, j] += times[i, j]
+            else:
+                whole[i - segments, j] += by_start
+    return whole
 
 
 @allocating

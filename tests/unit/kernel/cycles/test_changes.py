@@ -62,7 +62,7 @@ def test_a_torus_out_of_a_landing_that_takes_off_at_once():
     tori = [e.point for each in followed for e in each.events if e.kind is Kind.NEIMARK_SACKER]
     torus = min(tori, key=lambda point: abs(point.parameter - expected))
     assert torus.parameter == pytest.approx(expected, abs=1e-9)
-    assert np.sort(np.abs(torus.multipliers()))[-2:] == pytest.approx([1.0, 1.0], abs=1e-9)
+    assert np.sort(np.abs(torus.multipliers))[-2:] == pytest.approx([1.0, 1.0], abs=1e-9)
 
 
 def test_a_landing_that_takes_off_at_once():

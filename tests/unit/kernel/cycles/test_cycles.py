@@ -31,7 +31,7 @@ def test_every_periodic_cell_leads_to_its_cycle(plate):
         point = cycle_from(plate, cell, int(line.periods[i]), line.end_state[i])
         assert point is not None, i
         assert point.cell == pytest.approx(cell, abs=1e-13)
-        assert np.abs(point.multipliers()[0]) < 1.0
+        assert np.abs(point.multipliers[0]) < 1.0
         longest = max(t for t, x in zip(point.times, point.letters, strict=True) if x in LANDINGS)
         assert np.nanmin(np.abs(line.flight_time[i] - longest)) < 1e-6
 
@@ -50,7 +50,7 @@ def test_multipliers_do_not_depend_on_where_the_cycle_begins(plate):
     for point in branches(plate, 0.60, 0.05, 1, span=(0.05, 3.0))[-1].points[::12]:
         landings = [j for j in range(1, len(point.letters)) if point.letters[j - 1] in LANDINGS]
         if landings and max(point.flights) > 0.05:
-            known, other = point.multipliers()[:2], point.begun(landings[0]).multipliers()[:2]
+            known, other = point.multipliers[:2], point.begun(landings[0]).multipliers[:2]
             assert other == pytest.approx(known, abs=1e-9 * max(1.0, np.abs(known[0]))), point.letters
             compared += 1
     assert compared > 3

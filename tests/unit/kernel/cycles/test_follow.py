@@ -154,7 +154,7 @@ def test_a_graze_of_a_soft_contact_has_the_multipliers_of_its_neighbours():
     (flip,) = (event.point for event in line.events if event.kind is FLIP)
     _, events = follow(doubled(flip), 0.0, span=(0.05, 4.0))
     (graze,) = (e.point for e in events if abs(e.point.parameter - 1.5668498054773) < 1e-9)
-    assert abs(graze.multipliers()[0]) == pytest.approx(1.3875, abs=1e-4)
+    assert abs(graze.multipliers[0]) == pytest.approx(1.3875, abs=1e-4)
 
 
 def test_a_landing_that_takes_off_at_once_touches_softly():
