@@ -1,6 +1,7 @@
 """Changes of a cycle's segments along its branch: where they happen, and the first cycle beyond."""
 
 import math
+import re
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
@@ -19,8 +20,9 @@ _NEAR: Final = 0.1
 #: Part of a segment at each end, where its event function is zero, in which minima do not count.
 _ENDS: Final = 1e-9
 
-#: Distances of the first cycle from the change, in the units of the unknowns, tried in turn.
-_STEPS: Final = (1e-4, 1e-3, 1e-5)
+#: Distances of the first cycle from the change, in the units of the unknowns, tried in turn. The last are for
+#: new contacts of small penetration.
+_STEPS: Final = (1e-4, 1e-3, 1e-5, 1e-6, 1e-7, 1e-8)
 #: The same for a cycle of twice the period.
 _DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
 #: Largest difference of an unknown between the change and the first cycle.
@@ -127,6 +129,8 @@ def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
     letters, times = point.letters, point.times
     letter, before, after = letters[i], letters[i - 1], letters[(i + 1) % len(letters)]
     inside = 0 < i < len(letters) - 1
+    if broken.reason == "vanishes" and letter in "hc":
+        yield from _without_chatter(point, i)
     match broken.reason:
         case "touches" if letter in "hcsz":
             new = ("h" if rebounds else "z") + letter
@@ -181,6 +185,15 @@ def _inside(point: Point, i: int) -> tuple[Point, int]:
         if point.letters[j - 1] in LANDINGS and 0 < (i - j) % n < n - 1:
             return point.begun(j), (i - j) % n
     return point, i
+
+
+def _without_chatter(point: Point, i: int) -> Iterator[_Edit]:
+    """The change at which all flights of the chatter with segment i vanish, if the mass sticks around it."""
+    before = (point.letters + point.letters[:i]).rstrip("h")
+    begun = point.begun((len(before) - 1) % len(point.letters))
+    if chatter := re.match("Sh*cS", begun.letters):
+        whole = begun.times[: chatter.end()].sum()
+        yield _replaced(Kind.GRAZE_CONTACT, begun, 0, chatter.end(), "S", (whole,))
 
 
 def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:

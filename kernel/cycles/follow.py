@@ -317,8 +317,6 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
             kind, changed, first = after
             # not of `point`: the parameter stands still where a duration vanishes with its square root
             return first, [Event(kind, changed, turns=last.rising * first.rising < 0.0)]
-    if "C" not in last.letters:
-        return None, []
     shortest = int(np.argmin(last.times))
     if last.times[shortest] < _MINUTE:
         after = next_cycle(Margin(Broken("vanishes", shortest), last), last)
@@ -326,6 +324,8 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
             kind, _, first = after
             turns = last.rising * first.rising < 0.0
             return first, [Event(kind, last, turns)] if _multipliers_jump(last, first) else []
+    if "C" not in last.letters:
+        return None, []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
     return over_small_segment(last, before), []
 

@@ -7,10 +7,13 @@ import pytest
 from contacts import rigid, soft
 from paths import GOLDEN
 
-from kernel.cycles.any_contact import branches
+from kernel.cycles.any_contact import both_ways, branches
 from kernel.cycles.changes import doubled
+from kernel.cycles.cycles import cycle_from
 from kernel.cycles.events import Kind, branch_and_events
-from kernel.cycles.follow import follow
+from kernel.cycles.follow import End, follow
+from kernel.line import run_line
+from kernel.params import Cell
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
@@ -75,3 +78,20 @@ def test_a_landing_that_takes_off_at_once():
     changes = [event for event in events if event.kind is Kind.IMMEDIATE_TAKEOFF]
     assert min(abs(e.point.parameter - begins[0]) for e in changes) < 1e-10
     assert min(np.abs(np.array(gammas(events, Kind.FOLD)) - expected["fold"])) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("plate", "cell", "kind", "gamma"),
+    [
+        (rigid(0.145), Cell(2.091346402, 0.622852615, 0.128021696), Kind.GRAZE_CONTACT, 2.571016),
+        (rigid(0.145), Cell(2.377068234, 0.778395495, 0.074548361), Kind.GRAZE_CONTACT, 2.481845),
+        (soft(0.815, 1.2e-6, adhesive=False), Cell(4.290509, 1.25025, 0.256117), Kind.GRAZE_FLIGHT, 4.5273),
+    ],
+)
+def test_branches_go_on_where_a_chatter_vanishes_and_where_a_minute_contact_appears(plate, cell, kind, gamma):
+    window = {"settle": 200, "observe": 100, "keep": 16, "certify": True, "carry": False}
+    line = run_line(*np.array(cell)[:, None], plate=plate, **window)
+    seed = cycle_from(plate, cell, int(line.periods[0]), line.end_state[0])
+    _, events = both_ways(seed, (0.5, 8.0), 400)
+    assert min(np.abs(np.array(gammas(events, kind)) - gamma)) < 1e-4
+    assert not gammas(events, End.UNKNOWN_CHANGE)
