@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
+from kernel.numerics.cache import Compilation
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, QueueFull, UnknownJob
 from service.jobs.prepare import JobPreparer, new_job
@@ -16,7 +17,7 @@ from service.ledger.model import RESUMABLE, UNFINISHED, JobRecord, JobState, New
 from service.ledger.paths import network_file_system
 from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
-from worker.executors.base import Compiling, Executor
+from worker.executors.base import Executor
 from worker.spec.errors import SpecError
 from worker.studies import parse, study_of
 from worker.study import Cost, Plan
@@ -43,7 +44,7 @@ class JobManager:
         self.preparer = JobPreparer(settings)
         self.supervisor = Supervisor(ledger, executor, settings, self.preparer)
 
-    def compiling(self, job: JobRecord) -> Compiling | None:
+    def compiling(self, job: JobRecord) -> Compilation | None:
         """The kernel that a worker compiles for a job at present, or None. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
