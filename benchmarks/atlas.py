@@ -65,8 +65,8 @@ class Counting(Dask):
     kernel_seconds = 0.0
     task_seconds = 0.0
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
-        future = super().submit(spec, chunk, store_url, **limits)
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, *options: Any) -> "Future[ChunkReport]":
+        future = super().submit(spec, chunk, store_url, *options)
         future.add_done_callback(self._add_times)
         return future
 

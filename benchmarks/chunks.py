@@ -175,7 +175,7 @@ class Simulated:
     def __init__(self, workers: int) -> None:
         self._workers, self._thread = workers, ThreadPoolExecutor(1)
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **limits: float) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, *options: Any) -> "Future[ChunkReport]":
         """Report a chunk."""
         index, cells = chunk.index, chunk.cells
         return self.call(ChunkReport, index, cells, 1.0, 0.95, f"{index:064x}", (0, cells, 0, 0))

@@ -65,7 +65,7 @@ def relative_margin(cell: Any) -> float:  # type: ignore[empty-body]
     """
 
 
-@relative_margin.otherwise
+@relative_margin.register(object)
 @inlined
 def _no_free_motion(cell: Any) -> float:
     return math.nan
@@ -114,7 +114,7 @@ def replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
     """
 
 
-@replay.otherwise
+@replay.register(object)
 @jit
 def _no_replay(cell: Any, run: Any, window: Any, flights: Any, cache: Any) -> Any:
     return run
@@ -153,7 +153,7 @@ def dimension(plate: Any) -> int:  # type: ignore[empty-body]
     """The number of exponents: the dimension of a state at a fixed phase; 0 without variations."""
 
 
-@dimension.otherwise
+@dimension.register(object)
 def _no_variations(plate: Any) -> int:
     return 0
 

@@ -261,7 +261,7 @@ def _walk(
 
 def _check_plate(plate: Any, n: int) -> None:
     """Check that a model's `plate` function made this, for n cells. Raises KernelInputError."""
-    if type(plate) not in prepare:
+    if type(plate) not in prepare.registry:
         raise KernelInputError("plate", f"must be made by a model's `plate`, not a {type(plate).__name__}")
     for name, array in plate._asdict().items():
         if isinstance(array, np.ndarray) and array.shape != (n,):
@@ -334,7 +334,7 @@ class LineRun:
             int(settle), int(observe), float(micro_flight), int(settle_until or 0), bool(certify)
         )  # fmt: skip
         self._variations = lyapunov.allocate_variations(plate, exponents) if exponents else None
-        in_lanes = in_lanes and type(plate) in advance_lanes and self._variations is None
+        in_lanes = in_lanes and type(plate) in advance_lanes.registry and self._variations is None
         self._lanes = _allocate_lanes(LANES if in_lanes else 1)
         self._flights = cell.allocate_flights(keep, len(self._lanes.index))
         self._search = None

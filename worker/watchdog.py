@@ -22,7 +22,7 @@ from worker import store
 from worker.spec.specification import Specification
 from worker.studies import run_task
 from worker.study import Chunk, ChunkCancelled, ChunkOptions, ChunkPaused, ChunkReport, TaskError
-from worker.study.chunks import USUAL, with_options
+from worker.study.chunks import with_options
 from worker.work import compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
@@ -47,13 +47,13 @@ LONGEST_SECONDS: Final = 1e6
 
 
 def run_watched(
-    spec: Specification, chunk: Chunk, store_url: str, seconds: float, options: ChunkOptions = USUAL
+    spec: Specification, chunk: Chunk, store_url: str, options: ChunkOptions
 ) -> ChunkReport | TaskError:
     """`studies.run_task` under a watchdog.
 
-    Ends the process if the chunk takes longer than `seconds`, exceeds the worker's memory limit, or ignores
-    the cancel flag. Returns ChunkCancelled and ChunkPaused instead of raising them, because distributed logs
-    what a task raises as an error.
+    Ends the process if the chunk takes longer than `options.seconds`, exceeds the worker's memory limit, or
+    ignores the cancel flag. Returns ChunkCancelled and ChunkPaused instead of raising them, because
+    distributed logs what a task raises as an error.
     """
     worker = get_worker()
     event = {"key": worker.get_current_task(), "worker": worker.address}
@@ -66,7 +66,7 @@ def run_watched(
 
     try:
         _compile(spec, store_url, worker)  # does not count as the chunk's time
-        with Watchdog(worker, store_url, seconds, terminate), with_options(options):
+        with Watchdog(worker, store_url, options.seconds, terminate), with_options(options):
             return run_task(spec, chunk, store_url)
     except (ChunkCancelled, ChunkPaused) as stopped:
         return stopped

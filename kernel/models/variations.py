@@ -62,7 +62,7 @@ def _fly(spring: Any, vectors: Any, tau: float) -> None:
         _put(vectors, k, centre - 0.5 * q, centre1 - 0.5 * q1, q, q1)
 
 
-@interface.landing_error.otherwise
+@interface.landing_error.register(object)
 @jit
 def _landing_error(spring: Any, phi: PlatePhase, state: State, tau: float) -> float:
     """The rounding of the gap over its rate."""

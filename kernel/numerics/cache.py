@@ -14,6 +14,11 @@ class Compilation(NamedTuple):
     kernel: str  # its contact model, such as "rigid kernel"
     began: float  # time.time()
 
+    @property
+    def seconds(self) -> float:
+        """Seconds so far; the clock of the machine that compiles may be ahead."""
+        return max(time.time() - self.began, 0.0)
+
 
 #: Where entries are kept; None: nowhere.
 _folder: Path | None = None

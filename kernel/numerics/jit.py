@@ -90,54 +90,29 @@ def compilable(function: _Function) -> _Function:
     return register_jitable(**_OPTIONS, **PIPELINE)(function)  # type: ignore[no-any-return]
 
 
-class by_type:  # noqa: N801 - a decorator
+def by_type(declaration: Callable[..., Any]) -> Any:
     """Decorator: a kernel function with one implementation for each type of its first argument.
 
-    The types are NamedTuples. The choice is made at compile time; functions passed as arguments could not be
-    cached. Called from Python it is a look-up, which raises TypeError for a type without an implementation.
+    The types are NamedTuples; `register(object)` is for all others. The choice is made at compile time;
+    functions passed as arguments could not be cached. Called from Python it is a look-up, which raises
+    TypeError for a type without an implementation.
     """
 
-    def __init__(self, declaration: Callable[..., Any]) -> None:
-        functools.update_wrapper(self, declaration)
-        self._implementations: dict[type, Callable[..., Any]] = {}
-        self._otherwise: Callable[..., Any] | None = None
-        if PLAIN:
-            overload(self, _OPTIONS, strict=False)(self._python_of_chosen)
-        else:
-            _compiler.declare_choice(self, self._chosen_for)
+    @functools.singledispatch
+    @functools.wraps(declaration)
+    def chosen(first: Any, *rest: Any) -> Any:
+        raise TypeError(f"not implemented for {type(first).__name__}")
 
-    def __call__(self, first: Any, *rest: Any) -> Any:
-        chosen = self._chosen(type(first))
-        if chosen is None:
-            raise TypeError(f"not implemented for {type(first).__name__}")
-        return chosen(first, *rest)
+    missing = chosen.dispatch(object)
 
-    def __contains__(self, kind: type) -> bool:
-        """Whether a function is registered for first arguments of this type."""
-        return kind in self._implementations
+    def implementation(first: Any, *rest: Any) -> Any:
+        """The implementation for numba's type of the first argument, or None."""
+        function = chosen.dispatch(getattr(first, "instance_class", object))
+        return None if function is missing else function
 
-    def _chosen(self, kind: type) -> Callable[..., Any] | None:
-        """The implementation for a type, or the default one, or None."""
-        return self._implementations.get(kind, self._otherwise)
-
-    def _chosen_for(self, first: Any) -> Callable[..., Any] | None:
-        """The same for numba's type of the first argument."""
-        return self._chosen(getattr(first, "instance_class", type(None)))
-
-    def _python_of_chosen(self, first: Any, *rest: Any) -> Callable[..., Any] | None:
-        """The same as Python, as numba's `overload` takes it."""
-        return getattr(self._chosen_for(first), "py_func", None)
-
-    def register(self, kind: type) -> Callable[[_Function], _Function]:
-        """Decorator: the implementation for first arguments of type `kind`."""
-
-        def add(function: _Function) -> _Function:
-            self._implementations[kind] = function
-            return function
-
-        return add
-
-    def otherwise(self, function: _Function) -> _Function:
-        """Decorator: the implementation for first arguments of all other types."""
-        self._otherwise = function
-        return function
+    if PLAIN:  # `overload` takes Python functions
+        python = lambda *arguments: getattr(implementation(*arguments), "py_func", None)  # noqa: E731
+        overload(chosen, _OPTIONS, strict=False)(python)
+    else:
+        _compiler.declare_choice(chosen, implementation)
+    return chosen

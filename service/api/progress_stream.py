@@ -6,9 +6,9 @@ from typing import Final
 
 from starlette.concurrency import run_in_threadpool
 
+from kernel.numerics.cache import Compilation
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord
-from worker.executors.base import Compiling
 
 #: Seconds between two queries for the same listener.
 POLL_SECONDS: Final = 0.25
@@ -19,7 +19,7 @@ _Found = Mapping[str, JobRecord | None]
 class ProgressStream:
     """Polls the ledger for listeners, in the event loop; only `close` may be called from any thread."""
 
-    def __init__(self, ledger: Ledger, compiling: Callable[[JobRecord], Compiling | None]) -> None:
+    def __init__(self, ledger: Ledger, compiling: Callable[[JobRecord], Compilation | None]) -> None:
         self._ledger, self._compiling = ledger, compiling
         self._asked: set[str] = set()  # jobs of the next query
         self._next: asyncio.Future[_Found] | None = None
@@ -30,7 +30,7 @@ class ProgressStream:
         """End every iteration soon, so that open responses do not delay the shutdown."""
         self._closing = True
 
-    async def changes(self, job_id: str) -> AsyncIterator[tuple[JobRecord, Compiling | None]]:
+    async def changes(self, job_id: str) -> AsyncIterator[tuple[JobRecord, Compilation | None]]:
         """The job and the kernel compiled for it, now and after every change.
 
         Ends when the job is finished or deleted, or the service stops.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
 
+from kernel.numerics.cache import Compilation
 from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.prepare import choice_of
 from service.ledger.model import Failure, JobRecord, JobState
@@ -15,7 +16,6 @@ from service.ledger.search import MAX_TEXT, JobOrder, JobSearch
 from service.views.registry import VIEWS
 from service.views.view import Query
 from worker.analysis.model_selection import ModelChoice
-from worker.executors.base import Compiling
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Code, is_number
 from worker.spec.specification import Document, Label
@@ -278,7 +278,7 @@ def job_view(
     longest_spec: float = math.inf,
     failures: Sequence[Failure] = (),
     notice: str | None = None,
-    compiling: Compiling | None = None,
+    compiling: Compilation | None = None,
     budget: BudgetView | None = None,
 ) -> JobView:
     """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.

@@ -1,13 +1,13 @@
 """The operations of users on jobs. They change the ledger and wake the supervisor."""
 
 import hashlib
-import json
 import logging
 import time
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
+from kernel.numerics.cache import Compilation
 from kernel.params import KERNEL_VERSION
 from service.errors import IllegalTransition, KeyReused, LedgerUnavailable, QueueFull, UnknownJob
 from service.jobs.prepare import JobPreparer, new_job
@@ -17,9 +17,9 @@ from service.ledger.model import RESUMABLE, UNFINISHED, JobRecord, JobState, New
 from service.ledger.paths import network_file_system
 from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
-from worker.executors.base import Compiling, Executor
+from worker.executors.base import Executor
 from worker.spec.errors import SpecError
-from worker.studies import renewed, study_of
+from worker.studies import parse, study_of
 from worker.study import Cost, Plan
 from worker.study.chunks import check_size
 
@@ -44,7 +44,7 @@ class JobManager:
         self.preparer = JobPreparer(settings)
         self.supervisor = Supervisor(ledger, executor, settings, self.preparer)
 
-    def compiling(self, job: JobRecord) -> Compiling | None:
+    def compiling(self, job: JobRecord) -> Compilation | None:
         """The kernel that a worker compiles for a job at present, or None. Does not block."""
         if job.state is not JobState.RUNNING or job.chunks_done == job.chunks_total:
             return None
@@ -178,7 +178,7 @@ class JobManager:
             again = ": submit the sweep again to compute it anew" if job.outdated else ""
             raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
         if job.outdated:
-            return self.submit(renewed(json.dumps(job.named_spec)), owner=owner, replaces=job)
+            return self.submit(parse(job.named_spec), owner=owner, replaces=job)
         with self._ledger.writing() as ledger:
             accepted = self._accept(ledger, replace(job, owner=owner))
             record = _existing(ledger, job_id)
@@ -214,7 +214,7 @@ class JobManager:
             state, reason = JobState.CANCELLED, None
             if not job.cancel_requested:
                 try:
-                    spec = renewed(json.dumps(job.named_spec))
+                    spec = parse(job.named_spec)
                     successor, _ = self.submit(spec, owner=job.owner, replaces=job, limited=False)
                     fate = f"job {successor.id} computes all of it anew"
                 except SpecError as error:

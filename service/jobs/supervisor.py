@@ -446,17 +446,14 @@ class Supervisor:
         chunk = run.prepared.plan[run.queue.pop()]
         cost = run.prepared.cost
         longest = cost.upper_core_seconds / cost.cells * chunk.cells
+        options = ChunkOptions(
+            self._schedule.rotation.slice_seconds,
+            begins=chunk.index not in run.begun,
+            seconds=max(self._settings.chunk_seconds, self._settings.chunk_slack * longest),
+            priority=priority,
+        )
         try:
-            future = self._executor.submit(
-                run.prepared.spec,
-                chunk,
-                run.prepared.store_url,
-                seconds=max(self._settings.chunk_seconds, self._settings.chunk_slack * longest),
-                priority=priority,
-                options=ChunkOptions(
-                    self._schedule.rotation.slice_seconds, begins=chunk.index not in run.begun
-                ),
-            )
+            future = self._executor.submit(run.prepared.spec, chunk, run.prepared.store_url, options)
         except Exception as error:  # noqa: BLE001 - the retry policy decides
             log.warning("the executor refused a chunk, retrying at the next sync: %s", error)
             run.refused = True

@@ -16,7 +16,8 @@ from studies import spec_of
 from worker.executors.base import ClusterState, Executor
 from worker.executors.inline import Inline
 from worker.studies import run_task
-from worker.study import Chunk, ChunkReport
+from worker.study import Chunk, ChunkOptions, ChunkReport
+from worker.study.chunks import USUAL
 from worker.sweep import SweepSpec
 from worker.sweep.task import run_chunk
 
@@ -37,7 +38,7 @@ class Scripted(Inline):
         self.tried: list[int] = []
         self.before: Callable[[], object] = lambda: None  # runs before each chunk
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, *_: Any) -> "Future[ChunkReport]":
         return self._threads.submit(self._run, spec, chunk, store_url)
 
     def _run(self, spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
@@ -61,10 +62,10 @@ class Held:
         self.order: list[tuple[str, int]] = []  # the spec's name and the chunk, as submitted
 
     def submit(
-        self, spec: SweepSpec, chunk: Chunk, store_url: str, *, priority: float = 0, **_: float
+        self, spec: SweepSpec, chunk: Chunk, store_url: str, options: ChunkOptions = USUAL
     ) -> "Future[ChunkReport]":
         future: Future[ChunkReport] = Future()
-        self.priorities[id(future)] = priority
+        self.priorities[id(future)] = options.priority
         with self.lock:
             self.chunks.append((future, spec, chunk, store_url))
             self.order.append((spec.name, chunk.index))
@@ -140,8 +141,8 @@ class Counting:
     def submitted(self) -> int:
         return len(self.chunks)
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **options: Any) -> "Future[ChunkReport]":
-        future = self._executor.submit(spec, chunk, url, **options)
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, *options: Any) -> "Future[ChunkReport]":
+        future = self._executor.submit(spec, chunk, url, *options)
         self.chunks.append(chunk.index)
         future.add_done_callback(
             lambda done: done.cancelled() or done.exception() or self.ended.append(spec.name)
@@ -160,9 +161,9 @@ class Few(Counting):
         self.most = most
         self._kept: list[Future[ChunkReport]] = []
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, **options: Any) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, url: str, *options: Any) -> "Future[ChunkReport]":
         if len({*self.chunks, chunk.index}) <= self.most:
-            return super().submit(spec, chunk, url, **options)
+            return super().submit(spec, chunk, url, *options)
         self._kept.append(kept := Future())
         return kept
 

@@ -1,11 +1,11 @@
 """The interface of executors, which compute chunks for the service, and their errors."""
 
-import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from kernel.numerics.cache import Compilation
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkOptions, ChunkReport
 from worker.study.chunks import USUAL
@@ -70,14 +70,6 @@ class ClusterState:
         return "; ".join(filter(None, (fault, self.reason, *self.refused)))
 
 
-@dataclass(frozen=True)
-class Compiling:
-    """A kernel that a worker compiles before the first chunk of a job, or loads."""
-
-    kernel: str  # its contact model, as "rigid kernel"
-    seconds: float  # so far
-
-
 class Executor(Protocol):
     """Runs tasks on one or more workers and returns their results as futures.
 
@@ -97,19 +89,10 @@ class Executor(Protocol):
     """
 
     def submit(
-        self,
-        spec: Specification,
-        chunk: Chunk,
-        store_url: str,
-        *,
-        seconds: float = math.inf,
-        priority: float = 0,
-        options: ChunkOptions = USUAL,
+        self, spec: Specification, chunk: Chunk, store_url: str, options: ChunkOptions = USUAL
     ) -> "Future[ChunkReport]":
         """Compute one chunk: `studies.run_task(spec, chunk, store_url)` on a worker.
 
-        `seconds` limits the task's wall time, not counting the wait for a worker. Waiting chunks of higher
-        priority start first.
         Raises ExecutorError if there is no cluster to submit to.
         """
 
@@ -125,7 +108,7 @@ class Executor(Protocol):
     def state(self) -> ClusterState:
         """Whether there is a cluster, and workers; returns within seconds. May be a second old."""
 
-    def compiling(self, store_url: str) -> Compiling | None:
+    def compiling(self, store_url: str) -> Compilation | None:
         """The kernel that a worker compiles for the job with this store; does not block."""
 
     def ask_for(self, seconds: float, tasks: int) -> None:

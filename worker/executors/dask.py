@@ -15,10 +15,10 @@ from uuid import uuid4
 from distributed import KilledWorker
 from distributed.protocol.pickle import dumps
 
+from kernel.numerics.cache import Compilation
 from worker.executors.base import (
     ClusterLost,
     ClusterState,
-    Compiling,
     ExecutorError,
     Result,
     WorkerDied,
@@ -113,7 +113,7 @@ class Dask:
         self._present: dict[str, int] = {}  # threads of each worker then, by address
         self._state = ClusterState(connected=False, workers=0)
         self._tasks: dict[str, _Task] = {}  # unfinished, by Dask's key
-        self._compiling: dict[str, tuple[float, str, float]] = {}  # by store: when heard, kernel, began
+        self._compiling: dict[str, tuple[float, Compilation]] = {}  # by store, and when heard
         self._roster = Roster()
         is_own = address is None and scheduler_file is None
         if is_own:
@@ -136,18 +136,11 @@ class Dask:
             stack.pop_all()
 
     def submit(
-        self,
-        spec: Specification,
-        chunk: Chunk,
-        store_url: str,
-        *,
-        seconds: float = math.inf,
-        priority: float = 0,
-        options: ChunkOptions = USUAL,
+        self, spec: Specification, chunk: Chunk, store_url: str, options: ChunkOptions = USUAL
     ) -> "Future[ChunkReport]":
         identity = (store_url, chunk.index)
-        call = _Call(self._release, run_watched, spec, chunk, store_url, seconds, options)
-        return self._submit(call, priority, identity, self._others(identity))
+        call = _Call(self._release, run_watched, spec, chunk, store_url, options)
+        return self._submit(call, options.priority, identity, self._others(identity))
 
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._submit(_Call(self._release, call_while_wanted, function, *arguments), CALL_PRIORITY)
@@ -160,12 +153,12 @@ class Dask:
             self._count()
         return self._state
 
-    def compiling(self, store_url: str) -> Compiling | None:
-        heard, kernel, began = self._compiling.get(store_url, (-math.inf, "", 0.0))
+    def compiling(self, store_url: str) -> Compilation | None:
+        heard, compilation = self._compiling.get(store_url, (-math.inf, None))
         if time.monotonic() - heard > COMPILING_SECONDS:
             self._compiling.pop(store_url, None)
             return None
-        return Compiling(kernel, max(time.time() - began, 0.0))
+        return compilation
 
     def ask_for(self, seconds: float, tasks: int) -> None:
         self._connection.ask_for(seconds, tasks)
@@ -274,7 +267,8 @@ class Dask:
         if "host" in event:
             self._roster.note(event)
         elif "compiling" in event:
-            self._compiling[event["store"]] = time.monotonic(), event["compiling"], event["began"]
+            compilation = Compilation(event["compiling"], event["began"])
+            self._compiling[event["store"]] = time.monotonic(), compilation
         elif task := self._tasks.get(event["key"]):
             task.worker = event["worker"]
             if "why" in event:

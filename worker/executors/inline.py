@@ -1,15 +1,13 @@
 """Computes chunks in threads of this process: for `service.local`, tests, and scripts."""
 
-import math
-import time
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
-from kernel.numerics.cache import compilations
+from kernel.numerics.cache import Compilation, compilations
 from kernel.stopping import check, stopped_if
-from worker.executors.base import ClusterState, Compiling, Result
+from worker.executors.base import ClusterState, Result
 from worker.spec.specification import Specification
 from worker.studies import run_task
 from worker.study import Chunk, ChunkOptions, ChunkReport
@@ -19,8 +17,8 @@ from worker.study.chunks import USUAL, with_options
 class Inline:
     """An executor whose workers are threads of this process. Tasks begin in the order of submission.
 
-    Kernels run without the interpreter's lock. Ignores `seconds` and `priority`: a thread cannot be
-    interrupted.
+    Kernels run without the interpreter's lock. Ignores the `seconds` and `priority` of a chunk: a thread
+    cannot be interrupted.
     """
 
     def __init__(self, workers: int = 1) -> None:
@@ -29,14 +27,7 @@ class Inline:
         self._open = True
 
     def submit(
-        self,
-        spec: Specification,
-        chunk: Chunk,
-        store_url: str,
-        *,
-        seconds: float = math.inf,
-        priority: float = 0,
-        options: ChunkOptions = USUAL,
+        self, spec: Specification, chunk: Chunk, store_url: str, options: ChunkOptions = USUAL
     ) -> "Future[ChunkReport]":
         return self._threads.submit(_run, spec, chunk, store_url, options)
 
@@ -52,10 +43,9 @@ class Inline:
     def state(self) -> ClusterState:
         return ClusterState(self.workers() > 0, self.workers())
 
-    def compiling(self, store_url: str) -> Compiling | None:
+    def compiling(self, store_url: str) -> Compilation | None:
         """The kernel that this process compiles, for any job."""
-        under_way = compilations()
-        return Compiling(under_way[0].kernel, time.time() - under_way[0].began) if under_way else None
+        return next(iter(compilations()), None)
 
     def ask_for(self, seconds: float, tasks: int) -> None: ...
 

@@ -210,6 +210,8 @@ class ChunkOptions:
 
     slice_seconds: float = math.inf  # core-seconds after which it pauses
     begins: bool = False  # the chunk's first task: it has no checkpoint
+    seconds: float = math.inf  # limit on the task's wall time, not counting the wait for a worker
+    priority: float = 0.0  # waiting chunks of higher priority start first
 
 
 USUAL: Final = ChunkOptions()

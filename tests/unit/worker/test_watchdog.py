@@ -14,7 +14,7 @@ from distributed import Client, LocalCluster
 from scripted import DEADLINE, small, wait_for
 
 from worker import store, watchdog
-from worker.study import ChunkCancelled
+from worker.study import ChunkCancelled, ChunkOptions
 from worker.watchdog import TOPIC, Watchdog, run_watched
 
 LIMIT = 1000 << 20
@@ -107,7 +107,7 @@ class Watched:
         self.begun = {"key": f"{url}-0", "worker": next(iter(client.scheduler_info()["workers"]))}
 
     def __call__(self, seconds: float = 100.0) -> Any:
-        arguments = self.spec, self.plan[0], self.url, seconds
+        arguments = self.spec, self.plan[0], self.url, ChunkOptions(seconds=seconds)
         return self._client.submit(run_watched, *arguments, key=self.begun["key"], pure=False).result(
             DEADLINE
         )

@@ -47,12 +47,12 @@ class Workers(Held):
         super().__init__()
         self.ledger, self.submitted_again = ledger, list[tuple[str, int]]()
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **terms: Any) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, *terms: Any) -> "Future[ChunkReport]":
         with suppress(LedgerUnavailable):  # after a crash
             job = self.ledger.find(spec.job_id(KERNEL_VERSION))
             if job is not None and self.ledger.done_mask(job)[chunk.index]:
                 self.submitted_again.append((spec.name, chunk.index))
-        return super().submit(spec, chunk, store_url, **terms)
+        return super().submit(spec, chunk, store_url, *terms)
 
     def lose(self, error: Exception) -> None:
         """The first chunk comes back with an error."""

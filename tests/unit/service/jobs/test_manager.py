@@ -151,7 +151,7 @@ class Refusing(Scripted):
 
     refusals = 1_000
 
-    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, **_: float) -> "Future[ChunkReport]":
+    def submit(self, spec: SweepSpec, chunk: Chunk, store_url: str, *_: Any) -> "Future[ChunkReport]":
         if spec.name == "refused" and self.refusals:
             self.refusals -= 1
             raise KeyError("a field of the executor's own")
