@@ -55,7 +55,7 @@ from worker.kernel_cache import use_cache
 from worker.ownership import temporary_folder
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import rule_of
-from worker.studies import from_json, study_of
+from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import is_level
 from worker.sweep.specification import is_open
@@ -388,7 +388,7 @@ def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = Fal
         return bool(other == spec)
 
     with ledger.reading() as reading:
-        others = [job for job in reading.search() if not belongs(from_json(job.spec))]
+        others = [job for job in reading.search() if not belongs(renewed(job.spec))]
     if others:
         rule = "holds a run of another specification; remove it first"
         raise FileExistsError(errno.EEXIST, rule, str(folder))

@@ -18,6 +18,7 @@ from worker.spec import parsing
 from worker.spec.specification import Specification
 from worker.study import Chunk, ChunkReport, Study
 from worker.sweep import SweepSpec, plan, schema
+from worker.sweep.specification import EarlierSweep, is_earlier
 
 SWEEP: Final = Study(SweepSpec.parse, plan.make_plan, schema.layout, plan.estimate, "worker.sweep.task")
 
@@ -50,14 +51,33 @@ def study_of(spec: Any) -> Study:
 
 def parse(data: object) -> Any:
     """A specification of any kind from plain JSON values. Raises a `SpecError`."""
+    return _study_named(data).parse(data)
+
+
+def _study_named(data: object) -> Study:
+    """The kind of study that plain JSON values name; a sweep if they name none."""
     protocol = data.get("protocol") if isinstance(data, dict) else None
-    kind = protocol.get("kind") if isinstance(protocol, dict) else None  # without one a sweep
-    return (STUDIES.get(kind, SWEEP) if isinstance(kind, str) else SWEEP).parse(data)
+    kind = protocol.get("kind") if isinstance(protocol, dict) else None
+    return STUDIES.get(kind, SWEEP) if isinstance(kind, str) else SWEEP
 
 
 def from_json(text: str | bytes) -> Any:
     """A specification of any kind from JSON text. Raises a `SpecError`."""
     return parse(parsing.read_json(text))
+
+
+def from_stored(text: str | bytes) -> Any:
+    """A specification from a ledger or store, also of an earlier release. Raises a `SpecError`."""
+    data = parsing.read_json(text)
+    if isinstance(data, dict) and _study_named(data) is SWEEP and is_earlier(data):
+        return EarlierSweep.parse(data)
+    return parse(data)
+
+
+def renewed(text: str | bytes) -> Any:
+    """The specification that computes a stored one anew. Raises a `SpecError`."""
+    spec = from_stored(text)
+    return spec.today() if isinstance(spec, EarlierSweep) else spec
 
 
 def run_task(spec: Specification, chunk: Chunk, store_url: str) -> ChunkReport:

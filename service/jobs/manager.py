@@ -1,6 +1,7 @@
 """The operations of users on jobs. They change the ledger and wake the supervisor."""
 
 import hashlib
+import json
 import logging
 import time
 from contextlib import suppress
@@ -19,7 +20,7 @@ from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
 from worker.executors.base import Executor
 from worker.spec.errors import SpecError
-from worker.studies import parse, study_of
+from worker.studies import renewed, study_of
 from worker.study import Cost, Plan
 from worker.study.chunks import check_size
 
@@ -178,7 +179,7 @@ class JobManager:
             again = ": submit the sweep again to compute it anew" if job.outdated else ""
             raise IllegalTransition(f"the job is done: there is nothing to resume{again}")
         if job.outdated:
-            return self.submit(parse(job.named_spec), owner=owner, replaces=job)
+            return self.submit(renewed(json.dumps(job.named_spec)), owner=owner, replaces=job)
         with self._ledger.writing() as ledger:
             accepted = self._accept(ledger, replace(job, owner=owner))
             record = _existing(ledger, job_id)
@@ -214,7 +215,7 @@ class JobManager:
             state, reason = JobState.CANCELLED, None
             if not job.cancel_requested:
                 try:
-                    spec = parse(job.named_spec)
+                    spec = renewed(json.dumps(job.named_spec))
                     successor, _ = self.submit(spec, owner=job.owner, replaces=job, limited=False)
                     fate = f"job {successor.id} computes all of it anew"
                 except SpecError as error:

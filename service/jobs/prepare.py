@@ -18,7 +18,7 @@ from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, choose, resolved
 from worker.executors.base import Executor, ExecutorError, WorkerDied
-from worker.studies import from_json, study_of
+from worker.studies import from_stored, study_of
 from worker.study import Chunk, Cost, Layout, Plan, Study
 from worker.sweep.specification import is_open
 
@@ -67,14 +67,16 @@ class PreparedJob:
         return today.stored_as(stored)
 
     @cached_property
-    def forms(self) -> Mapping[str, store.ArrayForm] | None:
+    def forms(self) -> Sequence[Mapping[str, store.ArrayForm]] | None:
         """The forms of the arrays; None for an outdated job, whose forms only the store knows."""
         return None if self.outdated else store.forms_in(self.layout)
 
     @cached_property
-    def metadata(self) -> Mapping[str, bytes] | None:
-        """The store's metadata and coordinates by key; None for an outdated job."""
-        return None if self.outdated else store.metadata_of(self.layout, self.attributes)
+    def metadata(self) -> Sequence[Mapping[str, bytes]] | None:
+        """The metadata and coordinates that the store may have, by key; None for an outdated job."""
+        if self.outdated:
+            return None
+        return [store.metadata_of(cut, self.attributes) for cut in self.layout.cuts]
 
     @cached_property
     def cost(self) -> Cost:
@@ -99,8 +101,8 @@ class PreparedJob:
                     raise store.StoreDamaged(str(error)) from error
                 return None  # the store is created with the first chunk
         content = store.read_key(self.store_url, key)
-        checked = begun or content is not None
-        if checked and self.metadata is not None and content != self.metadata.get(key):
+        checked = self.metadata is not None and (begun or content is not None)
+        if checked and content not in [allowed.get(key) for allowed in self.metadata or ()]:
             raise store.StoreDamaged(f"{key}: is not what the store's specification says")
         return content
 
@@ -156,7 +158,7 @@ class JobPreparer:
 
     def _prepared(self, job: JobRecord) -> PreparedJob:
         try:
-            submitted, choice = from_json(job.spec), choice_of(job)
+            submitted, choice = from_stored(job.spec), choice_of(job)
             spec = submitted if choice is None else resolved(submitted, choice)
             plan = study_of(submitted).plan(submitted, job.chunk_shape)
         except (LookupError, TypeError, ValueError) as error:

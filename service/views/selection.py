@@ -69,7 +69,7 @@ class Stored(Generic[_Spec_co]):
     job: str | None = None  # id of the job
     chunks_done: int = 0
     #: Forms of the stored arrays; None for another kernel version, whose forms only the store knows.
-    forms: Mapping[str, store.ArrayForm] | None = None
+    forms: Sequence[Mapping[str, store.ArrayForm]] | None = None
     submitted: Any = None  # the specification as submitted, perhaps with the contact `auto`
     audit: str | None = None  # sentence of the last audit, for files and pictures
     other: "Stored[Any] | None" = None  # the study to compare with
@@ -208,12 +208,15 @@ def read_stored(
     Raises a `store.StoreError`.
     """
     try:
+        stored = {name: name for name in names}
         if study.forms is None:
             forms = store.stored_forms(study.url, None)
-            stored = [name for name in names if name in forms]
-        else:
-            stored = list(names)
-        arrays = store.read_slice(study.url, stored, **indices, complete=study.complete, forms=study.forms)
+            stored = {array.name: array.name_in(forms) for array in _layout(study.spec).arrays}
+            stored = {name: stored[name] for name in names if stored[name] in forms}
+        values = store.read_slice(
+            study.url, stored.values(), **indices, complete=study.complete, forms=study.forms
+        )
+        arrays = {name: values[there] for name, there in stored.items()}
     except store.StoreMissing as error:
         if study.begun:
             raise store.StoreDamaged(str(error)) from error

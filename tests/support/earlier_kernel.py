@@ -13,25 +13,28 @@ from service.settings import Settings
 from worker import store
 from worker.orbits.specification import OrbitsSpec
 from worker.studies import run_task, study_of
-from worker.sweep import SweepSpec
+from worker.sweep.specification import EarlierSweep
 
 VERSION = "1"
 SPECS: dict[str, dict[str, Any]] = {
     "done": spec_of((1.0, 3.0, 9), [0.5, 1.0], 0.26, window=(40, 20, 8), name="from rest", exponents=1),
     "interrupted": spec_of(
-        (0.4, 1.2, 41), [0.56, 0.6, 0.64], [0.05, 0.1], "both", (40, 20, 8), name="up and down",
+        (0.4, 1.2, 41), [0.56, 0.6, 0.64], [0.05, 0.1], "both", (40, 20, 8),
+        name="up and down", settle_until=640,
     ),
     "cycles": {"omega": 0.6, "xi": 0.05, "protocol": {"kind": "orbits"}, "modes": ["1-1", "1-2"]},
 }  # fmt: skip
 #: Variables that this kernel version did not store.
 ADDED_SINCE = ("lyapunov_error", "flight_error", "multiplier", "multiplier_angle")
+#: Arrays that have another name since.
+RENAMED = {"violations": "admissible", "event_violations": "event_admissible"}
 CHUNKS = {"done": (1, 2, 41), "interrupted": (1, 1, 41), "cycles": (1, 1)}
 #: Chunks that are done, of 1, of 12 and of 1.
 DONE_CHUNKS = {"done": 1, "interrupted": 3, "cycles": 1}
 
 
 def spec_of_then(name: str) -> Any:
-    return OrbitsSpec(**SPECS[name]) if name == "cycles" else SweepSpec(**SPECS[name])
+    return OrbitsSpec(**SPECS[name]) if name == "cycles" else EarlierSweep(**SPECS[name])
 
 
 IDS = {name: spec_of_then(name).job_id(VERSION) for name in SPECS}
@@ -47,7 +50,11 @@ def earlier_folder(parent: Path) -> Path:
             today = study_of(spec).variables(spec, plan.chunk_shape)
             then = replace(
                 today,
-                arrays=tuple(array for array in today.arrays if array.name not in ADDED_SINCE),
+                arrays=tuple(
+                    array._replace(name=RENAMED.get(array.name, array.name))
+                    for array in today.arrays
+                    if array.name not in ADDED_SINCE
+                ),
                 identity={**today.identity, "job": id},
                 attributes={**today.attributes, "kernel_version": VERSION},
             )
@@ -58,6 +65,7 @@ def earlier_folder(parent: Path) -> Path:
             for chunk in plan[: DONE_CHUNKS[name]]:
                 reports.append(run_task(spec, chunk, computed))
                 record = store.read_chunk(computed, chunk, today.names)
+                record = {RENAMED.get(name, name): values for name, values in record.items()}
                 store.write_chunk(url, chunk, {name: record[name] for name in then.names})
             new = NewJob(
                 id,

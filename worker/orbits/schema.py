@@ -19,7 +19,7 @@ def _violations(name: str, dims: tuple[str, ...]) -> Array:
     return array(
         name, dims, "|u1", "why the cycle is not one of the spring",
         flag_masks=[1, 2, 4], flag_meanings=meanings, comment="0: a cycle of the spring",
-    )  # fmt: skip
+    )._replace(earlier=name.replace("violations", "admissible"))  # fmt: skip
 
 
 #: The stored arrays in the order they are written.

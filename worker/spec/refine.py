@@ -46,6 +46,16 @@ class Refine(Strict):
     margin: Margin = False
 
 
+class EarlierRefine(Refine):
+    """A map of a release in which maps had a margin."""
+
+    margin: bool = False
+
+    def today(self) -> Refine:
+        """What the refusal of a margin advises."""
+        return Refine(by=self.by, coarsest=min(self.coarsest, 8) if self.margin else self.coarsest)
+
+
 #: Tagged, so that errors name its fields and not those of the specification.
 Refinement = Annotated[
     Annotated[Refine, Tag(Refine.tag())] | Annotated[None, Tag("<null>")],

@@ -39,6 +39,9 @@ _CHUNK_KEY: Final = re.compile(r"c/0|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")  # of a
 #: reading a cell reads one inner chunk.
 WHOLE_BYTES: Final = 512 * 2**10
 INNER_BYTES: Final = 128 * 2**10
+#: The same for the chunks of all arrays together, to which releases up to 0.2 gave the same inner chunks.
+ALIKE_WHOLE_BYTES: Final = 17 * 2**20
+ALIKE_INNER_BYTES: Final = 4 * 2**20
 
 
 class Array(NamedTuple):
@@ -49,6 +52,11 @@ class Array(NamedTuple):
     dtype: str
     fill: float | int
     attrs: dict[str, Any]
+    earlier: str | None = None  # its name in stores of earlier releases, if they have another
+
+    def name_in(self, names: Collection[str]) -> str:
+        """Its name in a store with arrays of these names, which may be one of an earlier release."""
+        return self.earlier if self.earlier is not None and self.earlier in names else self.name
 
     @property
     def extra_dims(self) -> tuple[str, ...]:
@@ -80,6 +88,7 @@ class Layout:
     attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store
     #: Attributes that identify the store: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
+    cut_alike: bool = False  # inner chunks as in stores of releases up to 0.2
 
     def __post_init__(self) -> None:
         """Raise ValueError for an array with a dimension's name, which readers take for its coordinate."""
@@ -106,8 +115,9 @@ class Layout:
         return tuple(array.name for array in self.arrays)
 
     def stored_as(self, names: Collection[str]) -> "Layout":
-        """The layout of another kernel's store, which has arrays of these names."""
-        return replace(self, arrays=tuple(array for array in self.arrays if array.name in names))
+        """The layout of an earlier release's store, which has arrays of these names."""
+        arrays = [array._replace(name=array.name_in(names)) for array in self.arrays]
+        return replace(self, arrays=tuple(array for array in arrays if array.name in names))
 
     def shape(self, array: Array) -> tuple[int, ...]:
         """Length of an array along each of its dimensions."""
@@ -117,18 +127,27 @@ class Layout:
         """Length of an array's chunk along each of its dimensions."""
         return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
 
+    @property
+    def cuts(self) -> tuple["Layout", ...]:
+        """The layouts that the store may have: this one, and that of releases up to 0.2 if it differs."""
+        before = replace(self, cut_alike=True)
+        differs = any(self.inner_shape(array) != before.inner_shape(array) for array in self.arrays)
+        return (self, before) if differs else (self,)
+
     def inner_shape(self, array: Array) -> tuple[int, ...] | None:
         """Length of an array's inner chunks along each of its dimensions; None if chunks are not sharded.
 
         Chunks are halved along the cell dimensions in turn, so that reading a line along any of them reads
         few other cells. Odd lengths are not halved.
         """
-        size = self._chunk_bytes(array)
-        if size <= WHOLE_BYTES:
+        whole, most, size = WHOLE_BYTES, INNER_BYTES, self._chunk_bytes(array)
+        if self.cut_alike:
+            whole, most, size = ALIKE_WHOLE_BYTES, ALIKE_INNER_BYTES, self.chunk_bytes
+        if size <= whole:
             return None
-        sizes = dict(self.chunk_sizes)
-        while size > INNER_BYTES and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
-            longest = max(even, key=lambda dim: sizes[dim] / self.chunk_sizes[dim])
+        sizes, units = dict(self.chunk_sizes), {} if self.cut_alike else self.chunk_sizes
+        while size > most and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
+            longest = max(even, key=lambda dim: sizes[dim] / units.get(dim, 1))
             sizes[longest] //= 2
             size //= 2
         shape = tuple(sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)

@@ -6,7 +6,7 @@ specification without loading kernels, Dask or zarr.
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
@@ -27,7 +27,7 @@ from worker.spec.contact_models import (
     penetration_of,
 )
 from worker.spec.errors import BrokenRuleError, describe, one_of
-from worker.spec.refine import Refinement
+from worker.spec.refine import EarlierRefine, Refinement
 from worker.spec.specification import JobId, Specification
 from worker.spec.time_steps import check_steps, corners
 from worker.sweep.protocols import Protocol, Ramp, Rest
@@ -45,6 +45,13 @@ MAX_STARTS: Final = 1_000
 #: limit for a settling one: 0.2 % of the cells of docs/specification.md's map still settle then.
 SETTLE: Final = 200
 UNTIL: Final = 5_000
+
+#: Fields of earlier releases: their defaults, which have no effect, and what works instead of other values.
+REMOVED: Final[dict[str, tuple[object, str]]] = {
+    "settle_early": (True, "settle 'auto' ends a cell as soon as its cycle is certified"),
+    "settle_tolerance": (0.0, "settle 'auto' ends a cell as soon as its cycle is certified"),
+    "settle_until": (None, "until, with settle 'auto', gives settling cells more plate periods"),
+}
 
 Effort = Literal["draft", "standard", "thorough"]
 
@@ -143,6 +150,16 @@ class SweepSpec(Specification):
         Refinement, Field(description="Compute only where the map changes; left out: every cell.")
     ] = None
     parent: Annotated[JobId | None, Field(description="The job in whose map this sweep is a window.")] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_today(cls, fields: Any) -> Any:
+        """Leave out removed fields; refuse values that had an effect, and say what works instead."""
+        if not isinstance(fields, dict) or not REMOVED.keys().isdisjoint(cls.model_fields):
+            return fields
+        for name in removed_from(fields):
+            raise BrokenRuleError(name, f"was removed; {REMOVED[name][1]}", "unknown")
+        return {name: value for name, value in fields.items() if name not in REMOVED}
 
     @model_validator(mode="before")
     @classmethod
@@ -293,6 +310,45 @@ class SweepSpec(Specification):
         defaults = {"settle": ("auto",), "until": (None, UNTIL), "exponents": (0,), "refine": (None,)}
         unset = {field for field, default in defaults.items() if getattr(self, field) in default}
         return super().left_out() | unset | {"parent"}
+
+
+class EarlierSweep(SweepSpec):
+    """A sweep of an earlier release, with the fields of REMOVED and the id that it had."""
+
+    settle: Settle = 200
+    settle_tolerance: float = 0.0
+    settle_until: Periods | None = None
+    settle_early: bool = True
+    refine: EarlierRefine | None = None
+
+    def today(self) -> SweepSpec:
+        """The sweep of this release that computes it anew; with certificates if settling cells went on."""
+        fields = {name: value for name, value in self.as_submitted().items() if name not in REMOVED}
+        if self.settle_until is not None:
+            goes_on = self.settle_until >= SETTLE + 2 * self.observe
+            fields |= {"settle": "auto", "until": self.settle_until if goes_on else None}
+        if self.refine is not None:
+            fields["refine"] = self.refine.today().model_dump()
+        return SweepSpec.parse(fields)
+
+    def left_out(self) -> set[str]:
+        """Also the removed fields that were off or had no effect."""
+        off = {name for name in ("settle_tolerance", "settle_until") if not getattr(self, name)}
+        had_effect = isinstance(self.protocol, Rest) and not self.exponents
+        if self.settle_early or not had_effect or getattr(self.model, "events", "located") == "plain":
+            off.add("settle_early")
+        return super().left_out() | off
+
+
+def removed_from(fields: Mapping[str, object]) -> list[str]:
+    """The removed fields among these with another value than their default."""
+    return [name for name, (default, _) in REMOVED.items() if fields.get(name, default) != default]
+
+
+def is_earlier(fields: Mapping[str, object]) -> bool:
+    """Whether a stored sweep has fields that sweeps no longer have."""
+    refine = fields.get("refine")
+    return bool(removed_from(fields)) or (isinstance(refine, dict) and refine.get("margin") is True)
 
 
 def is_open(spec: object) -> bool:

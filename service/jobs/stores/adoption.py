@@ -23,7 +23,7 @@ from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
 from worker.spec.errors import SpecError
-from worker.studies import from_json, study_of
+from worker.studies import from_stored, study_of
 from worker.study import Array, ChunkReport, Layout, Plan
 from worker.study.chunks import report_of
 from worker.sweep.specification import SweepSpec, is_open
@@ -74,7 +74,7 @@ def _contents(url: str, job_id: str) -> tuple[NewJob, Layout, Plan, str | None]:
     """
     attrs = store.read_attrs(url)
     version = str(attrs["kernel_version"])
-    spec = from_json(json.dumps(attrs["spec"]))
+    spec = from_stored(json.dumps(attrs["spec"]))
     if not attrs["job"] == spec.job_id(version) == job_id:
         raise ValueError(f"it names job {attrs['job']}, its sweep is job {spec.job_id(version)}")
     plan: Plan = study_of(spec).plan(spec, tuple(attrs["chunk_shape"]))

@@ -24,7 +24,7 @@ from service.settings import Settings
 from service.software import checked_runs
 from worker import store
 from worker.spec.specification import Label
-from worker.studies import from_json, study_of
+from worker.studies import from_stored, study_of
 from worker.study import Layout, Plan
 from worker.study.layout import structured_attributes
 from worker.sweep import SweepSpec
@@ -83,7 +83,7 @@ def import_shared(
         if max(len(files[store.ROOT]), len(files.get(_RUNS, b""))) > MOST_PARSED:
             raise ValueError("more than a shared file holds")
         attrs = json.loads(files[store.ROOT])["attributes"]
-        version, spec = str(attrs["kernel_version"]), from_json(attrs["spec"])
+        version, spec = str(attrs["kernel_version"]), from_stored(attrs["spec"])
         attrs = structured_attributes(attrs)
         given = TypeAdapter(Label).validate_python(files.pop(_NAME, spec.name.encode()).decode())
         runs = checked_runs(files.pop(_RUNS, b"[]"))
@@ -154,9 +154,10 @@ def _checked(files: dict[str, bytes], spec: Any, attrs: dict[str, Any]) -> Layou
         layout: Layout = study_of(spec).variables(spec, plan.chunk_shape)
         choice = {name: attrs[name] for name in ("model", "choice")} if is_open(spec) else {}
         fits = len(plan) < len(files) and layout.chunk_bytes <= MOST_OF_A_CHUNK
-        whole = fits and sorted(files) == sorted(store.keys_of(layout, plan))
-        if whole and store.metadata_of(layout, choice).items() <= files.items():
-            return layout
+        if fits and sorted(files) == sorted(store.keys_of(layout, plan)):
+            for cut in layout.cuts:
+                if store.metadata_of(cut, choice).items() <= files.items():
+                    return layout
     except (LookupError, TypeError, ValueError) as error:
         raise InvalidRequest.of("file", _DAMAGED) from error
     raise InvalidRequest.of("file", _DAMAGED)

@@ -16,7 +16,7 @@ from service.jobs.prepare import JobPreparer, PreparedJob
 from service.settings import Settings
 from worker import store
 from worker.spec.axes import Range
-from worker.studies import from_json
+from worker.studies import from_stored
 from worker.sweep.plan import make_plan
 
 
@@ -28,8 +28,8 @@ def preparer(tmp_path: Path) -> JobPreparer:
 def test_a_job_is_parsed_once_while_it_is_one_of_those_used_last(
     preparer: JobPreparer, monkeypatch: pytest.MonkeyPatch
 ):
-    parse = Mock(side_effect=from_json)
-    monkeypatch.setattr(prepare, "from_json", parse)
+    parse = Mock(side_effect=from_stored)
+    monkeypatch.setattr(prepare, "from_stored", parse)
     monkeypatch.setattr(prepare, "MAX_JOBS", 3)
     for seq, parsed in ((0, 1), (1, 2), (2, 3), (0, 3), (3, 4), (0, 4), (1, 5)):
         preparer.prepare(record(small(), seq=seq))
@@ -53,13 +53,14 @@ def test_a_row_that_is_not_that_of_its_id_is_never_computed_nor_read(
         preparer.prepare(record(small(), **change))
 
 
-def test_damaged_metadata_are_not_served(tmp_path: Path):
+def test_the_metadata_of_an_earlier_release_are_served(tmp_path: Path):
     spec = small(gamma=Range(start=0.5, stop=5.0, num=64), omega=Range(start=0.5, stop=1.0, num=64), keep=64)
-    url, plan = str(tmp_path / "store.zarr"), make_plan(spec, (1, 64, 64))
+    url, plan = str(tmp_path / "old.zarr"), make_plan(spec, (1, 64, 64))
     job = PreparedJob(spec.job_id(KERNEL_VERSION), spec, spec, plan, url, {})
-    store.create(url, job.layout)
+    _, before = job.layout.cuts
+    store.create(url, before)
     key = "flight_time/zarr.json"
-    assert job.read_file(key) == store.metadata_of(job.layout)[key]
+    assert job.read_file(key) == store.metadata_of(before)[key] != store.metadata_of(job.layout)[key]
     Path(url, key).write_text("{}")
     with pytest.raises(store.StoreDamaged, match="is not what the store's specification says"):
         job.read_file(key)

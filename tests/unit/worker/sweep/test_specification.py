@@ -1,5 +1,6 @@
 """The specification: what it accepts, and for every rule the very line that a user reads."""
 
+import json
 import re
 
 import numpy as np
@@ -12,8 +13,11 @@ from tables import for_each
 from worker.spec.axes import MAX_AXIS_VALUES, Range
 from worker.spec.contact_models import CONTACT_MODELS, Rigid
 from worker.spec.errors import SpecInvalid, SpecUnreadable
+from worker.spec.refine import Refine
 from worker.spec.specification import Label
+from worker.studies import from_stored
 from worker.sweep import SweepSpec
+from worker.sweep.specification import EarlierSweep
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = "a number, a list of numbers, or a range with start, stop, num and spacing"
@@ -111,7 +115,9 @@ RULES = [
         "model.steps_per_contact: must be at least 12, not 2: ",
     ),
     ({"model": {"kind": "auto", "tolerance": 0}}, "model.tolerance: must be at least 1e-09, not 0.0: "),
-    ({"settle_until": 399}, "settle_until: is not a field here; did you mean 'settle'? the fields are "),
+    ({"settle_tolerance": 1e-10}, "settle_tolerance: was removed; settle 'auto' ends a cell as soon as "),
+    ({"settle_early": False}, "settle_early: was removed; settle 'auto' ends a cell as soon as its "),
+    ({"settle_until": 399}, "settle_until: was removed; until, with settle 'auto', gives settling "),
     ({"until": 399}, "until: must be at least 200 + 2 × observe, 400, to have an effect; leave it "),
     ({"until": 5000, "settle": 100}, "until: must be left out where settle is 100: its windows are fixed; "),
     ({"settle": "long"}, "settle: must be 'auto' or a whole number of plate periods, not text 'long'"),
@@ -229,7 +235,7 @@ def test_a_line_begins_where_its_first_direction_does(direction, gamma):
 def test_same_sweep_written_differently_is_the_same_job():
     one = sweep(gamma=range_(1.0, 2.0, 3), name="a", until=5000.0)
     two = sweep(gamma=[1, 1.5, 2], name="b", model={"penetration": 1e-3}, protocol={"kind": "rest"})
-    assert sweep(settle=200).job_id("1") == sweep(settle=200.0).job_id("1")
+    assert sweep(settle=200).job_id("1") == sweep(settle=200.0, settle_early=True).job_id("1")
     assert one.job_id("1") == two.job_id("1")
     assert re.fullmatch("[0-9a-f]{32}", one.job_id("1"))
     assert sweep(xi=0).job_id("1") == sweep(xi=-0.0).job_id("1") == sweep(xi=[-0.0]).job_id("1")
@@ -277,6 +283,32 @@ PLAIN = {"model": {"kind": "stepped", "events": "plain"}}
 def test_cells_are_certified_unless_windows_are_fixed_or_tangents_are_missing(changes, certifies, until):
     spec = sweep(**changes)
     assert (spec.certifies, spec.settles_until, spec.window[0]) == (certifies, until, 200)
+
+
+def test_an_earlier_specification_keeps_its_id_and_is_computed_anew_with_certificates():
+    fields = POINT | {"settle": 100, "observe": 20, "settle_until": 1920}
+    stored = from_stored(json.dumps(EarlierSweep(**fields).as_submitted()))
+    assert isinstance(stored, EarlierSweep)
+    assert stored.job_id("8") == "d6fd92cfef6c87c354a569414af7fec9"
+    assert EarlierSweep(**POINT).job_id("8") == sweep(settle=200).job_id("8")
+    assert EarlierSweep(**POINT, settle_early=False).job_id("8") == "cd0cca3331677e544616eb949ad4a002"
+    assert stored.today() == sweep(settle="auto", observe=20, until=1920)
+    assert EarlierSweep(**POINT, settle_tolerance=1e-9).today() == sweep(settle=200)
+
+
+def test_a_stored_map_with_a_margin_keeps_its_id_and_is_computed_anew_without():
+    plane = {
+        "gamma": {"start": 0.9, "stop": 6.0, "num": 101},
+        "omega": {"start": 0.2, "stop": 1.2, "num": 101},
+    }
+    fields = plane | {"xi": 0.26, "settle": 200, "settle_until": 5000, "keep": 8}
+    refine = {"by": "mode", "coarsest": 16}
+    stored = from_stored(
+        json.dumps(fields | {"model": {"kind": "rigid"}, "refine": {**refine, "margin": True}})
+    )
+    assert stored.job_id("7") == "854f970cffce97a404750f9882076137"
+    assert stored.today().refine == Refine(by="mode", coarsest=8)
+    assert EarlierSweep(**fields, refine=refine).today().refine == Refine(**refine)
 
 
 def test_a_ball_that_is_given_no_restitution_has_its_springs():
