@@ -213,8 +213,6 @@ def test_copied_python_draws_every_kind_of_study(
     starts = {"rows": 2, "columns": 2}
     for spec, expected in (
         (plane, "plot(xi=0.1)"),
-        (plane | {"omega": 0.6}, "plot(xi=0.1)"),
-        (plane | {"gamma": 1.5}, "plot(xi=0.1)"),
         (two | {"protocol": {"kind": "orbits"}, "modes": ["1-1"]}, "plot(omega=0.6, xi=0.1)"),
         (plane | {"protocol": {"kind": "multistability", **starts}}, '"png", xi=0.1'),
         (plane | {"gamma": 1.5, "protocol": {"kind": "basin", **starts}}, '"png", omega=0.6, xi=0.1'),
