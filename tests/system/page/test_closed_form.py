@@ -191,15 +191,6 @@ def test_branches_of_cells_follow_a_sweep_that_runs(
             wait_for(lambda: len(branch_pixels(page)) > 200)
 
 
-def test_a_contact_is_explored(browser: Any, address: str):
-    with opened(browser, f"{address}/#/explore?omega=0.6&xi=0.05&gamma=0.9") as page:
-        page.get_by_label("Contact").select_option("soft")
-        said = page.locator(".closed", has_text="Bouncing does not persist below Γ = 0.5532 (fold (1, 1))")
-        said.wait_for()
-        page.wait_for_url(re.compile("contact=soft"))
-        screenshot(page, "explore-soft")
-
-
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
     with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05") as page:
         wait_shown(page, xi=0.05)
