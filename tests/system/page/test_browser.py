@@ -29,7 +29,7 @@ from browser import (
 from click.testing import CliRunner
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 from served import computing_at, done, service_at
-from studies import ADAPTIVE, spec_of
+from studies import spec_of
 from toy_view import add_stored_variable
 
 from service.background import InThisProcess
@@ -371,16 +371,6 @@ def test_a_running_map_has_everywhere_the_colour_of_a_computed_cell(browser: Any
             assert missing not in page.eval_on_selector(".panel .plot canvas", _ACROSS)
 
 
-def test_a_sweep_keeps_its_name_while_it_runs(browser: Any, tmp_path: Path):
-    size: Any = {"width": 1280, "height": 800}
-    with service_at(tmp_path, Held()) as address:
-        job = submitted(address, {**ADAPTIVE, "name": "Damping study of Tuesday"})
-        with opened(browser, view(address, job), viewport=size) as page:
-            page.locator("#bar [data-state=running]", has_text="0 % of 67,600 cells").wait_for()
-            assert page.locator("#bar h1").evaluate("name => name.scrollWidth <= name.clientWidth")
-            assert page.locator("body > header").bounding_box()["height"] < 50
-
-
 def test_a_comparison_follows_what_is_computed(browser: Any, tmp_path: Path):
     held = Held()
     with service_at(tmp_path, held) as address:
@@ -493,6 +483,16 @@ def test_a_slider_follows_the_grid_and_is_kept_in_the_address(browser: Any, addr
         wait_for(lambda: picture(page) == after)
 
 
+#: Two turns of the wheel in one task: on a slow machine those of Playwright are not one gesture.
+_TURN_TWICE = """plot => {
+    const { left, top } = plot.getBoundingClientRect();
+    for (const deltaY of [-400, -400])
+        plot.dispatchEvent(new WheelEvent("wheel", {
+            deltaY, clientX: left + 400, clientY: top + 300, bubbles: true, cancelable: true,
+        }));
+}"""
+
+
 def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
         wait_shown(page, along="gamma")
@@ -506,6 +506,11 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         wait_for(lambda: picture(page) != whole)
         page.mouse.dblclick(box["x"] + 300, box["y"] + 100)
         page.wait_for_function("() => !location.hash.includes('x0=')")
+        address = page.url
+        page.locator(".panel .plot").evaluate(_TURN_TWICE)
+        page.wait_for_url(re.compile("x0=.*y1="))
+        page.go_back()
+        page.wait_for_url(address)
         page.get_by_label("Ramp").select_option("up")
         page.wait_for_url(re.compile("show=up"))
         page.get_by_label("Axis of the diagram").select_option("omega")
@@ -578,27 +583,6 @@ def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(
         page.locator(".trajectory").wait_for(state="hidden")
 
 
-#: Two turns of the wheel in one task: on a slow machine those of Playwright are not one gesture.
-_TURN_TWICE = """plot => {
-    const { left, top } = plot.getBoundingClientRect();
-    for (const deltaY of [-400, -400])
-        plot.dispatchEvent(new WheelEvent("wheel", {
-            deltaY, clientX: left + 400, clientY: top + 300, bubbles: true, cancelable: true,
-        }));
-}"""
-
-
-def test_the_wheel_zooms_both_axes_and_back_undoes_it(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
-        wait_shown(page, omega=0.6)
-        whole = page.url
-        page.locator(".panel .plot").evaluate(_TURN_TWICE)
-        page.wait_for_url(re.compile("x0=.*y1="))
-        page.go_back()
-        page.wait_for_url(whole)
-        wait_shown(page, omega=0.6)
-
-
 def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
         wait_shown(page, omega=0.6)
@@ -662,17 +646,6 @@ def test_a_drag_with_shift_moves_the_window(browser: Any, address: str, loop: st
         page.get_by_role("button", name="Show everything").wait_for(state="hidden")
         page.wait_for_timeout(500)
         assert page.locator(".trajectory").is_hidden()
-
-
-def test_a_click_on_the_legend_hides_a_mode(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
-        wait_shown(page, xi=0.05)
-        shown = picture(page)
-        page.locator(".legend").get_by_role("button", name="at rest").click()
-        wait_for(lambda: picture(page) != shown)
-        page.wait_for_url(re.compile("hide="))
-        page.locator(".legend").get_by_role("button", name="at rest").click()
-        wait_for(lambda: picture(page) == shown)
 
 
 def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
@@ -925,9 +898,17 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
-def test_shares_of_a_zoomed_map_are_of_the_cells_shown(browser: Any, address: str, loop: str):
+def test_the_legend_of_a_map_hides_modes_and_has_shares_of_the_cells_shown(
+    browser: Any, address: str, loop: str
+):
     with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
         page.get_by_text("Hysteresis: going up").wait_for()
+        shown, at_rest = picture(page), page.locator(".legend").get_by_role("button", name="at rest")
+        at_rest.click()
+        wait_for(lambda: picture(page) != shown)
+        page.wait_for_url(re.compile("hide="))
+        at_rest.click()
+        wait_for(lambda: picture(page) == shown)
         page.evaluate("location.hash += '&x0=0.3&x1=0.4&y0=0.5&y1=0.7'")
         page.get_by_text("Up and down agree in every cell shown").wait_for()
         assert page.locator(".panel .legend li").all_inner_texts() == ["at rest 100 %"]
