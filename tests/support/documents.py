@@ -34,7 +34,8 @@ DOCUMENTS = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs"
 
 #: Those whose blocks take longest: in tests/nightly.
 LONG = tuple(
-    f"docs/{name}.md" for name in ("basins", "command-line", "deployment", "python-client", "tutorial")
+    f"docs/{name}.md"
+    for name in ("basins", "command-line", "deployment", "proofs", "python-client", "tutorial")
 )
 
 _BLOCK = re.compile(

@@ -4,7 +4,7 @@
     pytest -n 0 tests/nightly/cluster/test_slurm.py
 
 As root: a munged, a slurmctld and a slurmd of the test's own, with one node of several cores. All files are
-in one folder, all ports are free ones of loopback, and nothing of an installed Slurm is used but its programs.
+in one folder, all ports are free ones of loopback; nothing of an installed Slurm is used but its programs.
 What differing and failing nodes do is tested with workers of this machine (tests/system/worker).
 """
 
