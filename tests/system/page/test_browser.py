@@ -1106,23 +1106,24 @@ def other(address: str) -> str:
     return done(address, {**LOOP, "name": "Other", "xi": 0.2, "settle": 20})
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other: str, scheme: str):
-    """Light at three sizes, dark, where other colours alone may differ, at one.
+#: Light at all sizes; dark, where other colours alone may differ, at one.
+LOOKS = (*(("light", size) for size in SIZES), ("dark", SIZES[-1]))
 
-    With BOUNCE_TEST_SCREENSHOTS set, each view at each size is kept as a picture.
-    """
+
+def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other: str):
+    """With BOUNCE_TEST_SCREENSHOTS set, each view in each look is kept as a picture."""
     axe = (ROOT / "tests" / "vendor" / "axe.min.js").read_text()
-    with opened(browser, "about:blank", color_scheme=scheme, reduced_motion="reduce") as page:
+    with opened(browser, "about:blank", reduced_motion="reduce") as page:
         page.add_init_script(axe)
         for path in VIEWS:
             reopen(page, f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
-            for width, height in SIZES if scheme == "light" else SIZES[-1:]:
+            for scheme, (width, height) in LOOKS:
+                page.emulate_media(color_scheme=scheme)
                 page.set_viewport_size({"width": width, "height": height})
                 if "BOUNCE_TEST_SCREENSHOTS" in os.environ:
                     screenshot(page, f"{scheme}-{width}-{VIEWS.index(path)}")
-                assert _serious(page) == [], (path, width)
+                assert _serious(page) == [], (path, scheme, width)
 
 
 def _serious(page: Any) -> list[tuple[str, str]]:
