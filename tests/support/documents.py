@@ -33,7 +33,10 @@ from scripted import DEADLINE, free_port
 DOCUMENTS = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
 
 #: Those whose blocks take longest: in tests/nightly.
-LONG = ("docs/basins.md", "docs/command-line.md", "docs/deployment.md", "docs/python-client.md")
+LONG = tuple(
+    f"docs/{name}.md"
+    for name in ("basins", "command-line", "deployment", "proofs", "python-client", "tutorial")
+)
 
 _BLOCK = re.compile(
     r"^(?:<!-- (?P<comment>[^\n]*) -->\n)?```(?P<language>[^\n]*)\n(?P<code>.*?)^```$", re.M | re.S

@@ -23,6 +23,6 @@ def spec_of(
 BASINS: Final = spec_of(
     (1.0, 4.0, 12), [0.5, 0.6], 0.26, protocol={"kind": "basin", "rows": 32, "columns": 48}, exponents=1
 )
-MULTISTABILITY: Final = spec_of((3.0, 4.0, 12), (0.4, 0.6, 32), 0.26, protocol={"kind": "multistability"})
+MULTISTABILITY: Final = spec_of((3.0, 4.0, 12), (0.4, 0.6, 25), 0.26, protocol={"kind": "multistability"})
 ADAPTIVE: Final = spec_of((0.4, 4.4, 260), (0.4, 1.0, 260), 0.26, window=(600, 60, 8), refine={"by": "mode"})
 STUDIES: Final = {"basins": BASINS, "multistability": MULTISTABILITY, "adaptive": ADAPTIVE}

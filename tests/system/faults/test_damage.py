@@ -30,7 +30,7 @@ from worker.sweep.schema import layout
 from worker.sweep.task import run_chunk
 
 #: The number of damaged files that are read, and of those that are requested over HTTP.
-TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "200"))
+TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "100"))
 HTTP_TRIALS = TRIALS // 10
 
 #: 48 cells in some ten chunks.
@@ -325,7 +325,7 @@ def test_a_store_that_is_gone_is_computed_again(tmp_path: Path):
 @pytest.mark.parametrize("query", ["audit?cells=21", "threshold?tolerance=1e-3&xi=0.05"])
 def test_what_workers_read_is_repaired_too(tmp_path: Path, query: str):
     with running(tmp_path) as service:
-        here = service.submit(SWEEP)
+        here = service.submit(SWEEP | {"settle": 100})
         (service.store(here) / "zarr.json").unlink()
 
         def status() -> int:

@@ -73,13 +73,13 @@ def test_another_user_runs_no_code_and_reads_no_data(shared: Path):
         os.chown(path, OTHER, OTHER, follow_symlinks=False)
     with (
         LocalCluster(n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0") as plain,
-        serving(shared, variables={"TMPDIR": str(temporary)}, umask=0) as served,
+        serving(shared, variables={"TMPDIR": str(temporary), "BOUNCE_WORKERS": "1"}, umask=0) as served,
     ):
         with Client(served.url) as client:
             client.submit(SWEEP).wait(progress=False)
         listening = ports(psutil.Process(served.process.pid))
-        # The service; a scheduler, two nannies and two workers; three HTTP servers of theirs.
-        assert len(listening) >= 9
+        # The service; a scheduler, a nanny and a worker; two HTTP servers of theirs.
+        assert len(listening) >= 6
         control = int(plain.scheduler_address.rpartition(":")[2])
         ours.chmod(0o644)
         files = [str(path) for path in data.rglob("*") if path.is_file()]
@@ -99,17 +99,13 @@ def test_another_user_runs_no_code_and_reads_no_data(shared: Path):
     assert f"{data} was open to other users" in (shared / "log").read_text()
 
 
-@pytest.mark.parametrize("what", ["the folder", "a file in it"])
-def test_a_data_folder_of_another_user_is_refused(shared: Path, what: str):
+def test_a_data_folder_in_which_another_user_has_a_file_is_refused(shared: Path):
     data = shared / "data"
     data.mkdir()
     planted = data / "ledger.lock"
     planted.symlink_to(shared / "ours")
-    if what == "the folder":
-        os.chown(data, OTHER, OTHER)
-    else:
-        data.chmod(0o777)
-        os.chown(planted, OTHER, OTHER, follow_symlinks=False)
+    data.chmod(0o777)
+    os.chown(planted, OTHER, OTHER, follow_symlinks=False)
     (shared / "ours").write_text("mine")
     done = subprocess.run(
         [sys.executable, "-m", "service.cli.entry", "serve", "--port", "0", "--data", str(data)],
@@ -117,7 +113,6 @@ def test_a_data_folder_of_another_user_is_refused(shared: Path, what: str):
         env=os.environ | {"NUMBA_CACHE_DIR": str(CACHE)},
     )  # fmt: skip
     assert done.returncode == 1
-    named = data if what == "the folder" else planted
-    assert f"{named} belongs to another user" in done.stderr
+    assert f"{planted} belongs to another user" in done.stderr
     assert "BOUNCE_DATA" in done.stderr
     assert (shared / "ours").read_text() == "mine"

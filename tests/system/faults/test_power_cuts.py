@@ -21,7 +21,7 @@ from service.jobs.prepare import JobPreparer
 from service.ledger.ledger import Ledger
 from service.settings import Settings
 
-TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "10"))
+TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "6"))
 RAMPS = {"kind": "ramp", "axis": "gamma", "direction": "both"}
 SWEEP = costing(chunks=1, seconds=0.05, omega=[0.5 + k / 10 for k in range(12)], protocol=RAMPS)  # 20 chunks
 DATA, LEDGER = Path("data"), Path("data/ledger.sqlite")

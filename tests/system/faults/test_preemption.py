@@ -49,12 +49,11 @@ def wait_until_computing(executor: Dask, processes: Processes) -> None:
 
 
 @pytest.mark.timeout(500)
-@pytest.mark.parametrize("whole", [True, False], ids=["all processes", "the nanny"])
-def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[BaseException], whole: bool):
+def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[BaseException]):
     """A batch queue sends it to all processes of a job; an operator to the one that he started."""
     with serving(tmp_path) as (processes, executor, service):
         job = long_job(service)
-        for _ in range(2):
+        for whole in (True, False):
             worker = processes.worker()
             wait_until_computing(executor, processes)
             for each in family(worker) if whole else family(worker)[:1]:

@@ -54,8 +54,7 @@ def has_processes(command: Command) -> bool:
     [
         pytest.param(("figure", "2"), has_loaded_numpy, True, signal.SIGINT, id="importing"),
         pytest.param(("figure", "2"), has_processes, True, signal.SIGINT, id="starting workers"),
-        pytest.param(RUN, writes("compiling"), False, signal.SIGINT, id="compiling"),
-        pytest.param(("figure", "2"), writes("compiling"), False, signal.SIGTERM, id="compiling a motion"),
+        pytest.param(RUN, writes("compiling"), False, signal.SIGTERM, id="compiling"),
         pytest.param(("serve", "--port", "0"), writes("chunks done"), True, signal.SIGINT, id="serving"),
     ],
 )

@@ -40,13 +40,14 @@ def received(connection: socket.socket) -> bytes:
     return b"".join(iter(lambda: connection.recv(65536), b""))
 
 
-def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str, int]):
-    def healthy() -> bool:
-        try:
-            return httpx2.get(f"http://127.0.0.1:{address[1]}/healthz", timeout=DEADLINE).status_code == 200
-        except httpx2.TransportError:
-            return False
+def healthy(port: int) -> bool:
+    try:
+        return httpx2.get(f"http://127.0.0.1:{port}/healthz", timeout=DEADLINE).status_code == 200
+    except httpx2.TransportError:
+        return False
 
+
+def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str, int]):
     with ExitStack() as held:
         for _ in range(MOST):
             last = held.enter_context(socket.create_connection(address, timeout=DEADLINE))
@@ -54,10 +55,10 @@ def test_more_connections_than_allowed_are_told_to_come_again(address: tuple[str
             answer = received(next_)
         assert answer.startswith(b"HTTP/1.1 503 ")
         assert b"retry-after: 2" in answer
-        assert not healthy()
+        assert not healthy(address[1])
         last.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
         assert received(last).startswith(b"HTTP/1.1 200 ")
-    wait_for(healthy)
+    wait_for(lambda: healthy(address[1]))
 
 
 def test_a_client_that_reads_slowly_gets_its_whole_answer():
@@ -119,6 +120,7 @@ def test_more_connections_than_files_leave_some_for_jobs(tmp_path: Path, caplog:
             with computing_at(tmp_path, port=port) as url:
                 assert flood.stdout.readline() == b"connected\n"
                 flood.stdin.close()
+                wait_for(lambda: healthy(port))  # once the others have left
                 with Client(url) as client:
                     assert client.submit(sweep("after it")).wait(progress=False).state == "done"
         finally:

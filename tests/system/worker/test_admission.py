@@ -4,7 +4,7 @@ import shutil
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, wait
 from contextlib import closing, suppress
 from pathlib import Path
@@ -85,7 +85,7 @@ def that_dies_at_once(processes: Processes, folder: Path) -> None:
 
 def on_a_read_only_folder(processes: Processes, folder: Path) -> None:
     """In a mount namespace of its own, in which it sees the stores and cannot write there."""
-    stores = folder / "data" / "stores"
+    stores = folder.parent / "data" / "stores"
     stores.mkdir(parents=True, exist_ok=True)
     fix = f'mount --bind {stores} {stores} && mount -o remount,bind,ro {stores} && exec "$@"'
     processes.worker(before=("unshare", "--mount", "--map-root-user", "sh", "-c", fix, "sh"))
@@ -97,7 +97,7 @@ def with_two_threads(processes: Processes, folder: Path) -> None:
 
 def without_the_folder(processes: Processes, folder: Path) -> None:
     """In a mount namespace of its own, with an empty folder where the stores are."""
-    stores = folder / "data" / "stores"
+    stores = folder.parent / "data" / "stores"
     stores.mkdir(parents=True, exist_ok=True)
     hide = f'mount -t tmpfs none {stores} && exec "$@"'
     processes.worker(before=("unshare", "--mount", "--map-root-user", "sh", "-c", hide, "sh"))
@@ -110,36 +110,37 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
         yield processes
 
 
-@pytest.mark.parametrize(
-    ("start", "why"),
-    [
-        (of_another_kernel, "its package kernel is "),
-        (with_two_threads, "it has 2 threads: start it with --nthreads 1"),
-        (without_the_folder, "it does not see the service's stores in "),
-        (on_a_read_only_folder, "it cannot write into "),
-        (without_the_project, "it cannot load the kernel: ModuleNotFoundError: No module named 'kernel'"),
-        (with_broken_numba, "it cannot load the kernel: ImportError: no libnumba.so"),
-    ],
-)
-def test_a_worker_that_differs_is_refused_beside_one_that_computes(
-    tmp_path: Path, processes: Processes, start: Callable[[Processes, Path], None], why: str
-):
-    start(processes, tmp_path)
+#: How workers differ, and what is said of each.
+DIFFERENT = {
+    of_another_kernel: "its package kernel is ",
+    with_two_threads: "it has 2 threads: start it with --nthreads 1",
+    without_the_folder: "it does not see the service's stores in ",
+    on_a_read_only_folder: "it cannot write into ",
+    without_the_project: "it cannot load the kernel: ModuleNotFoundError: No module named 'kernel'",
+    with_broken_numba: "it cannot load the kernel: ImportError: no libnumba.so",
+}
+
+
+def test_workers_that_differ_are_refused_beside_one_that_computes(tmp_path: Path, processes: Processes):
+    for start in DIFFERENT:
+        (tmp_path / start.__name__).mkdir()
+        start(processes, tmp_path / start.__name__)
     with Client(processes.address, timeout=60, set_as_default=False) as client:
-        wait_for(lambda: client.scheduler_info()["workers"], processes.log, PATIENCE)
+        wait_for(lambda: len(client.scheduler_info()["workers"]) == len(DIFFERENT), processes.log, PATIENCE)
     with (
         closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor,
         running(tmp_path / "data", executor) as service,
     ):
         job = service.submit(costing(chunks=20, seconds=0.1))
-        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
-        [reason] = executor.state().refused
-        assert why in reason
-        assert f"on {socket.gethostname()}" in reason
-        assert "tcp://127.0.0.1:" in reason
+        wait_for(lambda: len(executor.state().refused) == len(DIFFERENT), processes.log, PATIENCE)
+        refused = executor.state().refused
+        for why in DIFFERENT.values():
+            [reason] = [reason for reason in refused if why in reason]
+            assert f"on {socket.gethostname()}" in reason
+            assert "tcp://127.0.0.1:" in reason
         assert executor.workers() == 0
-        wait_for(lambda: reason in (service.manager.supervisor.cluster.explanation or ""))
-        assert service.manager.fault() == "no workers yet; jobs wait until there are; workers refused: 1"
+        wait_for(lambda: refused[0] in (service.manager.supervisor.cluster.explanation or ""))
+        assert service.manager.fault() == "no workers yet; jobs wait until there are; workers refused: 6"
         assert service.job(job).chunks_done == 0
         processes.worker()
         ended = service.until(job, JobState.DONE, seconds=PATIENCE)
@@ -239,7 +240,7 @@ def test_a_service_starts_beside_a_worker_that_hangs(tmp_path: Path, processes: 
         client.wait_for_workers(2, timeout=PATIENCE)
     hanging.send_signal(signal.SIGSTOP)
     try:
-        with closing(Dask(processes.address, timeout=30.0)) as executor:
+        with closing(Dask(processes.address, timeout=10.0)) as executor:
             results = [executor.call(divmod, 17, 5) for _ in range(2)]  # one for each worker
             done, _ = wait(results, PATIENCE, FIRST_COMPLETED)
             assert [result.result() for result in done] == [(3, 2)]

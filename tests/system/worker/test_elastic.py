@@ -14,6 +14,7 @@ from scripted import costing, wait_for
 from served import running
 
 from service.ledger.model import JobState
+from worker.executors import clusters
 from worker.executors.base import ClusterLost
 from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
@@ -34,12 +35,14 @@ def local_cluster(workers: int) -> LocalCluster:
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[LocalCluster]]:
-    """Clusters that a test makes; closed at its end."""
+    """Clusters that a test makes; closed at its end. New ones and new workers are asked for sooner."""
     use_cache(CACHE)
-    clusters: list[LocalCluster] = []
+    monkeypatch.setattr(clusters, "MAKE_SECONDS", 1.0)
+    monkeypatch.setattr(clusters, "REFILL_SECONDS", 1.0)
+    made: list[LocalCluster] = []
     with dask.config.set(SCHEDULER_SETTINGS):
-        yield clusters
-    for cluster in clusters:
+        yield made
+    for cluster in made:
         cluster.close()
 
 

@@ -28,16 +28,6 @@ def refusal(root: Path) -> str:
     return str(refused.value)
 
 
-def test_a_cache_is_made_for_this_user_alone(tmp_path):
-    umask = os.umask(0)
-    try:
-        folder = kernel_cache._cache_folder(tmp_path / "deep" / "cache")
-    finally:
-        os.umask(umask)
-    for each in (folder, folder.parent, folder.parents[1]):
-        assert each.stat().st_mode & 0o777 == 0o700
-
-
 def test_a_copy_of_the_sources_has_the_same_digest_and_a_change_another(tmp_path, monkeypatch):
     before = kernel_cache.digest_of("kernel")
     shutil.copytree(ROOT / "kernel", tmp_path / "kernel")

@@ -1,9 +1,7 @@
 """The watchdog of a worker: what it lets a chunk do, and why it ends the process."""
 
 import faulthandler
-import os
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +12,9 @@ from distributed import Client, LocalCluster
 from scripted import DEADLINE, small, wait_for
 
 from worker import store, watchdog
-from worker.study import ChunkCancelled, ChunkOptions
-from worker.watchdog import TOPIC, Watchdog, run_watched
+from worker.study import ChunkCancelled
+from worker.study.chunks import USUAL
+from worker.watchdog import Watchdog, run_watched
 
 LIMIT = 1000 << 20
 
@@ -78,75 +77,30 @@ def test_nothing_is_ended_whose_chunk_is_done(tmp_path: Path, monkeypatch: pytes
     assert whys == []
 
 
-@pytest.fixture(scope="module")
-def client() -> Iterator[Client]:
-    """A client of a cluster whose only worker is a thread of this process."""
-    cluster = LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, memory_limit=None, dashboard_address=None
-    )
-    with cluster, Client(cluster, set_as_default=False) as client:
-        yield client
-
-
-@pytest.fixture
-def timers(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
-    """What faulthandler is told: these tests run in a process that must not end."""
-    told: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(
-        faulthandler, "dump_traceback_later", lambda seconds, *, exit: told.append((seconds, exit))
-    )
-    monkeypatch.setattr(faulthandler, "cancel_dump_traceback_later", lambda: told.append(("cancelled",)))
-    return told
-
-
-class Watched:
-    """Runs the first chunk of a small sweep as a worker does."""
-
-    def __init__(self, client: Client, url: str, spec: Any) -> None:
-        self._client, self.url, self.spec, self.plan = client, url, spec, planned(url, spec)
-        self.begun = {"key": f"{url}-0", "worker": next(iter(client.scheduler_info()["workers"]))}
-
-    def __call__(self, seconds: float = 100.0) -> Any:
-        arguments = self.spec, self.plan[0], self.url, ChunkOptions(seconds=seconds)
-        return self._client.submit(run_watched, *arguments, key=self.begun["key"], pure=False).result(
-            DEADLINE
-        )
-
-    def events(self) -> list[dict[str, str]]:
-        return [event for _, event in self._client.get_events(TOPIC) if event.get("key") == self.begun["key"]]
-
-
-@pytest.fixture
-def watched(client: Client, tmp_path: Path, timers: Any) -> Watched:
-    return Watched(client, str(tmp_path / "a.zarr"), small())
-
-
-def test_a_process_that_is_ended_says_why_first(watched: Watched, monkeypatch: pytest.MonkeyPatch):
-    ended, codes = threading.Event(), []
-    monkeypatch.setattr(os, "_exit", lambda code: (codes.append(code), ended.set()))
-    monkeypatch.setattr(watchdog, "run_task", lambda *_: ended.wait(DEADLINE))
-    assert watched(seconds=0.0) is True
-    wait_for(lambda: not watching())  # it goes on asking for the end until the chunk is done
-    why = "it took longer than 0 s; its worker process was terminated"
-    assert watched.events()[:2] == [watched.begun, watched.begun | {"why": why}]
-    assert codes[0] == 1
-
-
 def test_a_job_cancelled_while_its_kernel_is_compiled_does_not_begin(
-    watched: Watched, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    compiled, begun = threading.Event(), []
+    """On a worker that is a thread of this process, which must not end."""
+    url, spec, compiled, begun = str(tmp_path / "a.zarr"), small(), threading.Event(), []
+    chunk = planned(url, spec)[0]
 
     def compile_for(_: Any) -> None:
-        store.set_cancelled(watched.url)
+        store.set_cancelled(url)
         assert compiled.wait(DEADLINE)
 
+    for name in ("dump_traceback_later", "cancel_dump_traceback_later"):
+        monkeypatch.setattr(faulthandler, name, lambda *_, **__: None)
     monkeypatch.setattr(watchdog, "FLAG_SECONDS", 0.001)
     monkeypatch.setattr(watchdog, "compile_for", compile_for)
     monkeypatch.setattr(watchdog, "run_task", lambda *_: begun.append(1))
-    try:
-        answer = watched()
-    finally:
-        compiled.set()
+    options = {"n_workers": 1, "threads_per_worker": 1, "memory_limit": None, "dashboard_address": None}
+    with (
+        LocalCluster(processes=False, **options) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        try:
+            answer = client.submit(run_watched, spec, chunk, url, USUAL, pure=False).result(DEADLINE)
+        finally:
+            compiled.set()
     assert isinstance(answer, ChunkCancelled)
     assert begun == []

@@ -110,7 +110,7 @@ def test_a_cycle_that_is_moved_is_not_proven(chatters):
     """Not in its start, nor in any duration, such as that of a contact in which a chatter ends."""
     law, (cell, cycle) = (LAWS[1], chattering()) if chatters else (LAWS[0], just_above_the_fold())
     prove_cycle(law, cell, cycle)
-    for i in (1, -1) if chatters else range(len(cycle.unknowns)):
+    for i in (-1,) if chatters else range(len(cycle.unknowns)):
         moved = cycle.unknowns.copy()
         moved[i] += 1e-6
         with pytest.raises(NotProvenError):
