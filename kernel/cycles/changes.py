@@ -155,8 +155,9 @@ def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
             kind = Kind.GRAZE_FLIGHT if letter == "C" else Kind.GRAZE_CONTACT
             whole = (times[i - 1 : i + 2].sum(),)
             yield _replaced(kind, point, i - 1, 3, after if before == "b" else before, whole)
-        case "vanishes" if letter in "sz" and before == "z" and i > 0:
-            yield _replaced(Kind.IMMEDIATE_TAKEOFF, point, i - 1, 2, letter, (times[i - 1],))
+        case "vanishes" if letter in "sz" and before == "z":
+            begun, i = point.begun((i + 1) % len(letters)), len(letters) - 2
+            yield _replaced(Kind.IMMEDIATE_TAKEOFF, begun, i, 2, letter, (begun.times[i],))
         case "sticks":
             yield _replaced(Kind.IMMEDIATE_TAKEOFF, point, i, 1, "sS", (times[i], 0.0), (0.0, 1.0))
         case "takes off":

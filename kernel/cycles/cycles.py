@@ -223,7 +223,10 @@ class Broken(NamedTuple):
 def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> tuple[str, Floats, Floats]:
     """The kernel's segments over `span` rad from the start in x, as `segments.simulated`."""
     cell, phase = cycles.cell(x), math.atan2(x[4], x[3]) % TWO_PI
-    return simulated(cycles.plate, cell, [phase, 0.0, 0.0, *x[:3] / cell.gamma], span, most)
+    gap1, q, q1 = (x[:3] / cell.gamma).tolist()
+    if cycles.letters[0] in FLIGHTS:  # by rounding one from rest begins into the plate
+        gap1 = max(gap1, 0.0)
+    return simulated(cycles.plate, cell, [phase, 0.0, 0.0, gap1, q, q1], span, most)
 
 
 def confirmed(point: Point) -> tuple[Point, Broken | None]:
@@ -296,9 +299,10 @@ def _judged(point: Point) -> Broken | int | None:
         duration = float(durations[j]) if j < len(kernel) else math.nan
         both = letters[i] + kernel[j] if j < len(kernel) else ""
         last = _chatter_end(kernel, j) if both == "ch" else _chatter_end(letters, i) if both == "hc" else 0
-        same = both == 2 * letters[i] or last > 0
-        if not (same and abs(duration + late - times[i]) < AGREE):
-            return None if _hides(point, i, duration) else Broken("touches", i, duration)
+        as_long = abs(duration + late - times[i]) < AGREE
+        if not (as_long and (both == 2 * letters[i] or last > 0)):
+            reason = "lands softly" if as_long and both == "Fb" else "touches"
+            return None if _hides(point, i, duration) else Broken(reason, i, duration)
         end, late = j + 1, 0.0
         if both == "ch":
             late, j = float(durations[end : last + 1].sum()), last

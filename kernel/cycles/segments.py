@@ -56,6 +56,8 @@ ALONG: Final = ("gamma", "omega", "xi")
 _DIFFERENCE: Final = 1e-6
 #: The least xi whose step is relative to it. xi itself may be 0, and both sides of it have cycles.
 _UNDAMPED: Final = 1e-3
+#: Newton steps below this, relative, that grow are of rounding: a long cycle near a graze is known no better.
+_ROUNDING: Final = 1e-9
 #: A Newton step above this, relative, in any unknown has left the branch.
 _AWAY: Final = 2.0
 
@@ -477,7 +479,7 @@ def newton(
     converged: size of the last step, relative to x. Returns whether it converged, the unknowns, the equations
     there and the unit tangent (m,). Without steps it evaluates the equations.
     """
-    m, done, found = len(x), False, False
+    m, before, done, found = len(x), math.inf, False, False
     x, tangent = x.copy(), direction.copy()
     for count in range(most + 1):
         cycle = equations(plate, omega, xi, letters, periods, along, gamma, x)
@@ -499,7 +501,8 @@ def newton(
             break
         for i in range(m):
             x[i] -= step[i]
-        done = size < converged * scale
+        done = size < converged * scale or before < size < _ROUNDING * scale
+        before = size
     return found, x, cycle, tangent
 
 

@@ -85,10 +85,12 @@ def test_a_landing_that_takes_off_at_once():
     [
         (rigid(0.145), Cell(2.091346402, 0.622852615, 0.128021696), Kind.GRAZE_CONTACT, 2.571016),
         (rigid(0.145), Cell(2.377068234, 0.778395495, 0.074548361), Kind.GRAZE_CONTACT, 2.481845),
+        (rigid(0.0), Cell(3.077627136, 0.739284155, 0.203493656), Kind.IMMEDIATE_TAKEOFF, 3.353605),
         (soft(0.815, 1.2e-6, adhesive=False), Cell(4.290509, 1.25025, 0.256117), Kind.GRAZE_FLIGHT, 4.5273),
+        (soft(0.007, 6e-3, adhesive=False), Cell(3.15157, 1.258992, 0.123151), End.BELOW_SURFACE, 1.775045),
     ],
 )
-def test_branches_go_on_where_a_chatter_vanishes_and_where_a_minute_contact_appears(plate, cell, kind, gamma):
+def test_branches_go_on_where_segments_vanish_or_appear_to_rounding(plate, cell, kind, gamma):
     window = {"settle": 200, "observe": 100, "keep": 16, "certify": True, "carry": False}
     line = run_line(*np.array(cell)[:, None], plate=plate, **window)
     seed = cycle_from(plate, cell, int(line.periods[0]), line.end_state[0])
