@@ -41,7 +41,7 @@ class _Edit(NamedTuple):
     kind: Kind
     cycles: Cycles
     x: Floats
-    way: Floats | None = None  # the first step; None: either direction of the branch
+    way: Floats | None = None  # the first step, or against it; None: along the branch
     steps: tuple[float, ...] = _STEPS
 
 
@@ -105,13 +105,10 @@ def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point, Point] | None
 
 def _first(edit: _Edit) -> Point | None:
     """The first admissible cycle beyond a change; None if there is none."""
-    if edit.way is not None:
-        ways = [edit.way / math.sqrt(edit.way @ edit.way)]
-    else:
-        along = edit.cycles.on_branch(edit.x).tangent
-        ways = [along, -along]
+    along = edit.cycles.on_branch(edit.x).tangent if edit.way is None else edit.way
+    along = along / math.sqrt(along @ along)
     for step in edit.steps:
-        for way in ways:
+        for way in (along, -along):
             point = edit.cycles.newton(edit.x + step * way, way, float(way @ edit.x) + step)
             if point is None or np.abs(point.x - edit.x).max() > _BESIDE:  # on another branch
                 continue

@@ -29,6 +29,8 @@ _CLOSES: Final = 1e-6
 #: Rounding may hide a landing slower than this gap' (g/omega), or a take-off to a shorter flight, rad.
 _SOFT_LANDING: Final = 1e-5
 _SHORT_FLIGHT: Final = 1e-2
+#: A contact shorter than this, rad, is rounding.
+_AT_ONCE: Final = 1e-12
 #: The cycle through a state is one of the cell if it is within this in Gamma, relative.
 _SAME_CELL: Final = 1e-8
 #: Rounds simulated to read a cycle: up to two before it begins, its own, and a segment of the next.
@@ -224,9 +226,12 @@ def kernels_round(cycles: Cycles, x: Floats, span: float, most: int = MOST) -> t
     """The kernel's segments over `span` rad from the start in x, as `segments.simulated`."""
     cell, phase = cycles.cell(x), math.atan2(x[4], x[3]) % TWO_PI
     gap1, q, q1 = (x[:3] / cell.gamma).tolist()
-    if cycles.letters[0] in FLIGHTS:  # by rounding one from rest begins into the plate
-        gap1 = max(gap1, 0.0)
-    return simulated(cycles.plate, cell, [phase, 0.0, 0.0, gap1, q, q1], span, most)
+    # by rounding a flight from rest may begin into the plate, or late
+    flies = cycles.letters[0] in FLIGHTS
+    state = [phase, 0.0, 0.0, max(gap1, 0.0) if flies else gap1, q, q1]
+    letters, times, states = simulated(cycles.plate, cell, state, span, most)
+    late = int(flies and letters.startswith("S") and times[0] < _AT_ONCE)
+    return letters[late:], times[late:], states[late:]
 
 
 def confirmed(point: Point) -> tuple[Point, Broken | None]:

@@ -85,7 +85,9 @@ def test_a_landing_that_takes_off_at_once():
     [
         (rigid(0.145), Cell(2.091346402, 0.622852615, 0.128021696), Kind.GRAZE_CONTACT, 2.571016),
         (rigid(0.145), Cell(2.377068234, 0.778395495, 0.074548361), Kind.GRAZE_CONTACT, 2.481845),
+        (rigid(0.825), Cell(4.774318866, 0.638197572, 0.206651525), Kind.GRAZE_FLIGHT, 5.252544),
         (rigid(0.0), Cell(3.077627136, 0.739284155, 0.203493656), Kind.IMMEDIATE_TAKEOFF, 3.353605),
+        (rigid(0.0), Cell(4.658453925, 1.201557256, 0.124175664), Kind.IMMEDIATE_TAKEOFF, 5.4046),
         (soft(0.815, 1.2e-6, adhesive=False), Cell(4.290509, 1.25025, 0.256117), Kind.GRAZE_FLIGHT, 4.5273),
         (soft(0.007, 6e-3, adhesive=False), Cell(3.15157, 1.258992, 0.123151), End.BELOW_SURFACE, 1.775045),
     ],
