@@ -23,8 +23,15 @@ export function navigate(path, query = {}) {
 }
 
 // Browsers limit how often the address may change; a slider changes it hundreds of times.
-const write = debounced(120, () => pending && history.replaceState(null, "", link(pending.path, pending.query)));
-let pending = null;
+const write = debounced(120, flush);
+let pending = null; // with the address `from` which it changes
+
+/** Write what is pending, unless a link has changed the address meanwhile. */
+function flush() {
+  if (pending?.from !== location.hash) return;
+  history.replaceState(null, "", link(pending.path, pending.query));
+  pending.from = location.hash;
+}
 
 /** Dispatches "change" after every setQuery(). */
 export const queryChanges = new EventTarget();
@@ -32,10 +39,10 @@ export const queryChanges = new EventTarget();
 /** Change query parameters; null removes one. With `isStep`, the browser's Back returns to the state before. */
 export function setQuery(changes, isStep = false) {
   if (isStep) {
-    if (pending) history.replaceState(null, "", link(pending.path, pending.query));
+    flush();
     history.pushState(null, "", location.href);
   }
-  pending ??= currentAddress();
+  pending ??= { ...currentAddress(), from: location.hash };
   const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => (value ?? null) !== null);
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
   write();
