@@ -34,7 +34,8 @@ _NEARLY: Final = 1e-11
 #: Steps of the search for an event. Its range is stretched up to this often, by this factor.
 _STEPS: Final = 80
 _STRETCHES, _STRETCH = 8, 1.3
-#: A value is zero below this part of those at the ends of the range, or if it is the best of this many since.
+#: A value below this part of those at the ends of the range is zero. A search ends after this many values
+#: without a smaller one: the rest is rounding.
 _ZERO, _STALLED = 1e-13, 4
 
 #: A multiplier this close to 1, -1 or the unit circle makes an event.

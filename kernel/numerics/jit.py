@@ -111,8 +111,11 @@ def by_type(declaration: Callable[..., Any]) -> Any:
         return None if function is missing else function
 
     if PLAIN:  # `overload` takes Python functions
-        python = lambda *arguments: getattr(implementation(*arguments), "py_func", None)  # noqa: E731
-        overload(chosen, _OPTIONS, strict=False)(python)
+
+        @overload(chosen, _OPTIONS, strict=False)
+        def python_of_chosen(first: Any, *rest: Any) -> Callable[..., Any] | None:
+            return getattr(implementation(first, *rest), "py_func", None)
+
     else:
         _compiler.declare_choice(chosen, implementation)
     return chosen

@@ -75,7 +75,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     """Where one spring begins and ceases to bounce.
 
     In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
-    contact's own cycles, a second at most once compiled. `down` is the lowest Γ at which bouncing
+    contact's own cycles, a second or two once compiled. `down` is the lowest Γ at which bouncing
     persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
     `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the

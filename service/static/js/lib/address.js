@@ -24,7 +24,7 @@ export function navigate(path, query = {}) {
 
 // Browsers limit how often the address may change; a slider changes it hundreds of times.
 const write = debounced(120, flush);
-let pending = null; // with the address `from` which it changes
+let pending = null; // `from`: the address that it replaces
 
 /** Write what is pending, unless a link has changed the address meanwhile. */
 function flush() {

@@ -93,6 +93,7 @@ def test_a_landing_that_takes_off_at_once():
     ],
 )
 def test_branches_go_on_where_segments_vanish_or_appear_to_rounding(plate, cell, kind, gamma):
+    """Springs whose branches broke off there. Gamma is as first followed; the kernel judges each cycle."""
     window = {"settle": 200, "observe": 100, "keep": 16, "certify": True, "carry": False}
     line = run_line(*np.array(cell)[:, None], plate=plate, **window)
     seed = cycle_from(plate, cell, int(line.periods[0]), line.end_state[0])
