@@ -39,9 +39,6 @@ _ROUNDS: Final = 4.2
 _LONGEST: Final = 300
 MOST: Final = 4000
 
-#: Indices of each two of the multipliers.
-_PAIRS: Final = np.triu_indices(4, 1)
-
 #: Letters of flights that end with a landing.
 LANDINGS: Final = "Fhcsz"
 FLIGHTS: Final = LANDINGS + "b"
@@ -124,12 +121,6 @@ class Point:
         """Whether all multipliers lie inside the unit circle."""
         return bool(np.abs(self.multipliers[0]) < 1.0)
 
-    def tests(self) -> Floats:
-        """Three functions that change sign at a fold, a flip and a Neimark-Sacker point, in this order."""
-        mu = self.multipliers
-        torus = np.prod(1.0 - mu[_PAIRS[0]] * mu[_PAIRS[1]])
-        return np.array([self.rising, np.prod(1.0 + mu).real, torus.real])
-
 
 class Cycles(NamedTuple):
     """The equations of the cycles of one signature in a spring, along one parameter."""
@@ -203,7 +194,7 @@ class Cycles(NamedTuple):
         """The known cycle at unknowns x (m,), with a tangent of either sign."""
         cycle = self.equations(x)
         scale = 1.0 / np.abs(cycle.slope).max(axis=1, keepdims=True)
-        return Point(self, x, cycle, np.linalg.svd(cycle.slope * scale)[2][-1])
+        return Point(self, x, cycle, np.linalg.qr((cycle.slope * scale).T, "complete")[0][:, -1])
 
     def with_segments(self, letters: str, x: Floats, times: Any) -> tuple["Cycles", Floats]:
         """Equations and unknowns of the same start with other segments; times (n,), rad."""

@@ -103,7 +103,7 @@ def folds_of_twice(flip: Point, below: float) -> list[Fold]:
     first = doubled(flip)
     if first is None:
         return []
-    line = up_to_shorter(follow(first, 0.0, points=_POINTS, span=(0.0, below)))
+    line = up_to_shorter(follow(first, 0.0, points=_POINTS, span=(0.0, below), crossings=(Kind.FOLD,)))
     folds = [fold_of(event) for event in line.events if event.kind is Kind.FOLD]
     return [fold for fold in folds if fold.curvature > 0.0 and fold.holds]
 

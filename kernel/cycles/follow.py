@@ -6,7 +6,7 @@ the cycle change, the branch goes on with the new ones (`kernel.cycles.changes`)
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
@@ -40,6 +40,8 @@ _ZERO, _STALLED = 1e-13, 4
 
 #: A multiplier this close to 1, -1 or the unit circle makes an event.
 _AT: Final = 1e-4
+#: Indices of each two of the multipliers.
+_PAIRS: Final = np.triu_indices(4, 1)
 
 #: A chattering mass has ceased to stick if it sticks for less than the first, rad; where the branch cannot be
 #: followed on, for less than the second.
@@ -96,13 +98,14 @@ class _Stretch(NamedTuple):
 
 def follow(
     point: Point, way: float, *, points: int = POINTS, span: tuple[float, float] = RANGE,
-    until: Callable[[Point], bool] = lambda _: False,
+    until: Callable[[Point], bool] = lambda _: False, crossings: Sequence[Kind] = CROSSINGS,
 ) -> Followed:  # fmt: skip
     """Follow the branch from a cycle on.
 
     way: the parameter first rises (> 0) or falls (< 0); 0 keeps the direction of the cycle's tangent. Stops
     where the parameter leaves `span`, at the first cycle for which `until` holds, and where a closed branch
-    returns to `point`. Any other end is an event whose kind is an `End`.
+    returns to `point`. Any other end is an event whose kind is an `End`. crossings: those of CROSSINGS that
+    are located.
     """
     origin = point = point if point.rising * way >= 0.0 else replace(point, tangent=-point.tangent)
     line: list[Point] = []
@@ -113,7 +116,7 @@ def follow(
 
     for _ in range(SIGNATURES):
         stretch = _walk(point, points - len(line), leaves, origin)
-        events += _events_along(stretch.points, len(line))
+        events += _events_along(stretch.points, len(line), crossings)
         line += stretch.points
         last, after = line[-1], None
         end = _end(last)
@@ -218,21 +221,27 @@ def _passes(last: Point, step: float, origin: Point) -> bool:
 # --- events on a stretch ------------------------------------------------------------------------------------
 
 
-def _events_along(line: list[Point], before: int) -> Iterator[Event]:
-    """Folds, flips and Neimark-Sacker points between neighbours. before: number of points before `line`."""
-    tests = np.array([point.tests() for point in line])
+def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iterator[Event]:
+    """The crossings of these kinds between neighbours. before: number of points before `line`."""
+    tests = np.array([[crossing(kind, point) for kind in kinds] for point in line])
     with np.errstate(invalid="ignore"):
         turned = tests[:-1] * tests[1:] < 0.0
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
-        point = _root(line[i], _reach(line[i], line[i + 1]), partial(_test, int(which)))
-        if point is not None and happens(CROSSINGS[which], point):
-            kind = CROSSINGS[which]
+        kind = kinds[which]
+        point = _root(line[i], _reach(line[i], line[i + 1]), partial(crossing, kind))
+        if point is not None and happens(kind, point):
             yield Event(kind, point, turns=kind is Kind.FOLD, after=before + int(i))
 
 
-def _test(which: int, point: Point) -> float:
-    return float(point.tests()[which])
+def crossing(kind: Kind, point: Point) -> float:
+    """A function that changes sign at crossings of a kind, and at its poles."""
+    if kind is Kind.FOLD:
+        return point.rising
+    mu = point.multipliers
+    if kind is Kind.FLIP:
+        return float(np.prod(1.0 + mu).real)
+    return float(np.prod(1.0 - mu[_PAIRS[0]] * mu[_PAIRS[1]]).real)
 
 
 def happens(kind: Kind | End, point: Point) -> bool:

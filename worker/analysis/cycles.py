@@ -23,7 +23,7 @@ from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from, cycle_through
 from kernel.cycles.events import Branch, Events, Kind, join_events
-from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, follow, happens
+from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, crossing, follow, happens
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
@@ -316,13 +316,13 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
     node = cycles.newton(x, tangent)
     if node is None:
         return None
-    which = CONTACT_CURVES.index(Kind(kind))
+    kind = Kind(kind)
     a, b = 0.0, _SECANT
-    value_a, point = node.tests()[which], ahead(node, b)
+    value_a, point = crossing(kind, node), ahead(node, b)
     for _ in range(_SECANTS):
         if point is None:
             return None
-        value = point.tests()[which]
+        value = crossing(kind, point)
         if abs(value - value_a) == 0.0 or abs(b - a) < _LOCATED:
             break
         a, value_a, b = b, value, b - value * (b - a) / (value - value_a)
