@@ -352,7 +352,7 @@ def allocate_flights(keep: int, lanes: int) -> Flights:
     return Flights(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64), size, keep)
 
 
-@allocating
+@jit
 def write_record(line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window) -> None:
     """Write the record of a cell whose run has ended as the i-th of `line`."""
     outcome, bounces, periods = classify(run, flights, first, window)

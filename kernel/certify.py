@@ -18,7 +18,7 @@ from kernel.interface import Phase, State, phase_of, plate_phase
 from kernel.modes import Flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT
-from kernel.numerics.jit import allocating, inlined, jit
+from kernel.numerics.jit import allocating, inlined, jit, outlined
 from kernel.numerics.matrices import (
     apply,
     contracting_norm,
@@ -87,17 +87,21 @@ class Search(NamedTuple):
     period: Any
     failed: Any  # (lanes, LONGEST + 1) rad, differences at which candidates last failed; 0: the one under way
     counts: Any  # (lanes, 5) int64, see READ
-    attempt: Attempt
 
 
-def allocate_search(lanes: int, flights: Flights) -> Search:
-    """Room for cells in some lanes, whose flights are recorded in `flights`."""
-    n, size = lanes * SEARCHED, 2 * flights.size
-    cycle = Flights(np.empty(size), np.empty(size), np.empty(size, np.int64), size, 0)
+def allocate_search(lanes: int) -> Search:
+    """Room for the cells in some lanes."""
+    n = lanes * SEARCHED
     failed, counts = np.full((lanes, LONGEST + 1), np.inf), np.zeros((lanes, 5), np.int64)
+    return Search(np.empty(n), np.empty(n), np.empty(n, np.int64), failed, counts)
+
+
+def allocate_attempt(flights: Flights) -> Attempt:
+    """Room for an attempt at a cycle of cells whose flights are recorded in `flights`."""
+    size = 2 * flights.size
+    cycle = Flights(np.empty(size), np.empty(size), np.empty(size, np.int64), size, 0)
     vectors, none, turn = np.zeros((4, 4)), np.zeros((0, 4)), np.zeros((4, 4))
-    attempt = Attempt(cycle, vectors, none, np.zeros(4), np.zeros(4), np.zeros(4), turn, np.zeros(1))
-    return Search(np.empty(n), np.empty(n), np.empty(n, np.int64), failed, counts, attempt)
+    return Attempt(cycle, vectors, none, np.zeros(4), np.zeros(4), np.zeros(4), turn, np.zeros(1))
 
 
 @jit
@@ -107,15 +111,16 @@ def begin_search(search: Search, k: int) -> None:
     search.counts[k] = 0
 
 
-@jit
+@outlined
 def certified(
-    cell: Any, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights, search: Search
-) -> Progress:
+    cell: Any, run: Progress, i: int, k: int, window: Window, line: Line, flights: Flights, search: Search,
+    attempt: Attempt,
+) -> Progress:  # fmt: skip
     """The run in lane k, which has a candidate; if certified, on the cycle, with the ending CERTIFIED.
 
     Then writes the record of the i-th cell.
     """
-    periods, attempt = search.counts[k, PERIODS], search.attempt
+    periods = search.counts[k, PERIODS]
     begins, start = _section(cell, run, k, periods, window, flights, attempt)
     if begins and _newton(cell, start, periods, window, attempt):
         run = _accept(cell, run, start, periods, window, attempt, i, line)

@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 from kernel import cell
 from kernel import exponents as lyapunov
 from kernel.cell import CACHE_SIZE, RUN_FIELDS, Progress, Window
-from kernel.certify import CERTIFIED, Search, allocate_search, begin_search, certified, has_candidate
+from kernel.certify import (
+    CERTIFIED,
+    Attempt,
+    Search,
+    allocate_attempt,
+    allocate_search,
+    begin_search,
+    certified,
+    has_candidate,
+)
 from kernel.exponents import Variations
 from kernel.interface import (
     Phase,
@@ -111,7 +120,7 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
     return phase_of(spring, phi, run, cell.horizon_of(run))
 
 
-@allocating
+@jit
 def _write_record(
     spring: Any, line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window
 ) -> None:
@@ -129,7 +138,7 @@ def _settling_or(outcome: int, spring: Any, run: Progress, flights: Flights, fir
     return cell.SETTLING if grows or fades else outcome
 
 
-@allocating
+@jit
 def _after_window(
     spring: Any, before: Progress, run: Progress, i: int, k: int, window: Window, line: Line,
     flights: Flights, lanes: Lanes, variations: Variations | None,
@@ -172,14 +181,14 @@ def _after_window(
 def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
     flights: Flights, lanes: Lanes, table: Any, variations: Variations | None, search: Search | None,
-    steps: int,
+    attempt: Attempt | None, steps: int,
 ) -> bool:  # fmt: skip
     """Run lines of `length` cells each for about `steps` phases or moves of all lanes; whether all is done.
 
     `states`: (n / length, 6) where each line begins, as in `cell.begin`. Fills `line`. The next call
     goes on from `flights`, `lanes`, `variations` and `search`. table: that of `lanes`; None is seen at
     compile time. variations: for the exponents of one cell at a time, or None. search: None with exponents
-    and for a contact without variations; used if `window` certifies.
+    and for a contact without variations; used if `window` certifies, with `attempt`.
 
     Each lane holds one cell and its phase. `advance_lanes` moves all on. A lane whose phase has ended goes
     through the landing or take-off here, and gets its next phase or, at the end of its window, the next cell
@@ -221,10 +230,11 @@ def _walk(
                     run = cell.record(run, p, window, flights, first)
                     if (
                         search is not None
+                        and attempt is not None
                         and window.certify
                         and has_candidate(run, k, window, flights, search)
                     ):
-                        run = certified(springs[k], run, i, k, window, line, flights, search)
+                        run = certified(springs[k], run, i, k, window, line, flights, search, attempt)
                     if run.ending != ROOT:
                         run = _after_window(
                             springs[k], before, run, i, k, window, line, flights, lanes, variations
@@ -337,9 +347,10 @@ class LineRun:
         in_lanes = in_lanes and type(plate) in advance_lanes.registry and self._variations is None
         self._lanes = _allocate_lanes(LANES if in_lanes else 1)
         self._flights = cell.allocate_flights(keep, len(self._lanes.index))
-        self._search = None
+        self._search = self._attempt = None
         if self._variations is None and dimension(plate) > 0:  # one kernel, whether it certifies or not
-            self._search = allocate_search(len(self._lanes.index) if certify else 0, self._flights)
+            self._search = allocate_search(len(self._lanes.index) if certify else 0)
+            self._attempt = allocate_attempt(self._flights)
 
     def advance(self, steps: int = _ALL) -> bool:
         """Compute on for about `steps` >= 1 contacts and flights; whether every cell of `line` is done."""
@@ -353,7 +364,7 @@ class LineRun:
         return (
             self._plate, self._gamma, self._omega, self._xi, self._length, self._states, self._window,
             self.line, self._flights, self._lanes, self._lanes.table, self._variations, self._search,
-            steps,
+            self._attempt, steps,
         )  # fmt: skip
 
     def save(self) -> dict[str, NDArray[Any]]:

@@ -63,6 +63,9 @@ _VALUES: Final = (
     types.Array,
 )  # fmt: skip
 
+#: Functions that are not inlined into their callers.
+OUTLINED: Final[set[Callable[..., Any]]] = set()
+
 #: LLVM's levels of optimisation, one after the other: 2 before 2, or 3, makes kernels no faster.
 _SPEED_LEVELS: Final = (1, 2)
 
@@ -86,6 +89,8 @@ def _collecting_later() -> Iterator[None]:
 class _InnerLibrary(JITCodeLibrary):
     """The code of one inner function, as lowered, and the libraries that it calls."""
 
+    outlined: bool = False
+
     def add_linking_library(self, library: CodeLibrary) -> None:
         """Note a library, which stays as it is."""
         self._linking_libraries.append(library)
@@ -93,6 +98,9 @@ class _InnerLibrary(JITCodeLibrary):
     def _optimize_functions(self, ll_module: Any) -> None:
         """Leave it to the entry."""
         ll_module.data_layout = self._codegen._data_layout
+        if self.outlined:
+            for function in ll_module.functions:
+                function.add_function_attribute("noinline")
 
 
 class _EntryLibrary(_InnerLibrary):
@@ -240,6 +248,7 @@ class Inner(_Compiler):
         state = self.state
         state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
         state.library = _InnerLibrary(state.targetctx.codegen(), func.__qualname__)
+        state.library.outlined = func in OUTLINED
         result = super().compile_extra(func)
         key: Any = [].append  # numba takes built-in functions only, and this is a new one
         state.targetctx.insert_user_function(key, result.fndesc, [result.library])

@@ -80,6 +80,13 @@ def inlined(function: _Function) -> _Function:
     return _declare(function, _INLINED)
 
 
+def outlined(function: _Function) -> _Function:
+    """As `jit`, but never inlined: chosen for what runs rarely, so that its caller compiles faster."""
+    if not PLAIN:
+        _compiler.OUTLINED.add(function)
+    return _declare(function, _OPTIONS)
+
+
 def allocating(function: _Function) -> _Function:
     """As `jit`, for functions that make arrays or lists, or call what returns them."""
     return _declare(function, _ALLOCATING)
