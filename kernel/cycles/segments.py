@@ -409,7 +409,7 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
         letter, before, place = letters[i], letters[i - 1], START + i
         t = u[place] if u[place] != 0.0 else _SHORTEST
         total += u[place]
-        starts[i] = x[0]
+        _copy(x, starts, i)
         power = root_power(spring, letter, before)
         gap2 = _gap2(spring, _get(x, 0)) if power == 3 else 0.0  # taken as zero by `move`
         move(spring, letter, before, t, x[: 1 + place])  # nothing depends on later durations yet
@@ -419,22 +419,28 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
             x[1 + place, j] += now[j]
         scale = t ** (-power)
         value[i] = event(spring, letter, _get(x, 0)) * scale
-        slope[i, place + 1 :] = 0.0
-        for j in range(place + 1):
-            slope[i, j] = event(spring, letter, _get(x, 1 + j)) * scale
+        for j in range(m):
+            slope[i, j] = event(spring, letter, _get(x, 1 + j)) * scale if j <= place else 0.0
         slope[i, place] -= power * value[i] / t
         rates[i] = event(spring, letter, now)
         forces[i] = reset(spring, letter, x[: 2 + place])
-    starts[n] = x[0]
+    _copy(x, starts, n)
     for i in range(3):
         value[n + i] = x[0, 1 + i] - u[i]
         for j in range(m):
             slope[n + i, j] = x[1 + j, 1 + i]
         slope[n + i, i] -= 1.0
     value[m - 2] = total - TWO_PI * periods
-    slope[m - 2] = 0.0
-    slope[m - 2, START:] = 1.0
+    for j in range(m):
+        slope[m - 2, j] = 0.0 if j < START else 1.0
     return Round(value, slope, starts, rates, forces)
+
+
+@jit
+def _copy(x: Any, starts: Any, i: int) -> None:
+    """Write the motion of x (1, 7) to the i-th of `starts` (n, 7)."""
+    for j in range(7):
+        starts[i, j] = x[0, j]
 
 
 @allocating
@@ -548,23 +554,23 @@ def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance:
     of hops takes START m**2 operations, not m**3.
     """
     n, m = segments, len(direction)
+    # with slices and functions of arrays this would compile three times as long
     a = np.empty((m, m + 2))
-    reach = np.full(m, n)  # in each row, entries of later durations are zero
+    reach = np.empty(m, np.int64)  # in each row, entries of later durations are zero
     for i in range(m):
-        row = slope[i] if i < m - 1 else direction
-        a[i, :n], a[i, n : n + START], a[i, n + START : m] = (
-            row[START : START + n],
-            row[:START],
-            row[START + n :],
-        )
+        row, largest = slope[i] if i < m - 1 else direction, 0.0
+        for j in range(m):
+            a[i, j] = row[_unknown(j, n)]
+            largest = max(largest, abs(a[i, j]))
         a[i, m] = value[i] if i < m - 1 else distance
         a[i, m + 1] = 0.0 if i < m - 1 else 1.0
-        if i < n:
-            reach[i] = i + 1
-        largest = np.abs(a[i, :m]).max()
-        a[i] /= largest if largest > 0.0 else 1.0
+        reach[i] = i + 1 if i < n else n
+        for j in range(m + 2):
+            a[i, j] /= largest if largest > 0.0 else 1.0
     for k in range(m):
-        p = k + np.argmax(np.abs(a[k:, k]))
+        p = k
+        for i in range(k + 1, m):
+            p = i if abs(a[i, k]) > abs(a[p, k]) else p
         if abs(a[k, k]) < _PIVOT * abs(a[p, k]):
             for j in range(m + 2):
                 a[k, j], a[p, j] = a[p, j], a[k, j]
@@ -584,8 +590,16 @@ def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance:
             for i in range(k + 1, m):
                 rest -= a[k, i] * a[i, m + j]
             a[k, m + j] = rest / a[k, k]
-            solution[j, k + START if k < n else k - n if k < n + START else k] = a[k, m + j]
+            solution[j, _unknown(k, n)] = a[k, m + j]
     return solution[0], solution[1]
+
+
+@inlined
+def _unknown(k: int, segments: int) -> int:
+    """Index of the k-th unknown if the durations come first."""
+    if k < segments:
+        return k + START
+    return k - segments if k < segments + START else k
 
 
 @allocating
