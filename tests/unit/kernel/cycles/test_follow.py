@@ -159,12 +159,21 @@ def test_a_doubled_branch_ends_beside_its_last_flip(plate, omega, xi):
 
 
 def test_a_branch_ends_where_a_graze_makes_its_cycle_a_shorter_one():
-    """A (3,2) cycle whose halves become equal as one of them grazes; beyond it is (1,1), gone through twice."""
+    """A (3,2) cycle whose halves become equal as one of them grazes; beyond is (1,1), gone through twice."""
     plate, cell = rigid(0.351), Cell(4.885425052692753, 0.9973321908882944, 0.16337752119602011)
     line = both_ways(attracting(plate, cell), (0.05, 8.0), 250)
     assert line.points[-1].parameter == pytest.approx(5.4894685, abs=1e-6)
     assert line.events[-1].kind is Kind.GRAZE_FLIGHT
     assert not any(map(repeats, line.points))
+
+
+def test_a_branch_does_not_lead_back_where_contacts_are_minute():
+    """Contacts appear and vanish within 1e-9 of Gamma. Longer steps beyond lead back to the branch behind."""
+    plate = soft(0.072, 3.6618356451136967e-06)
+    cell = Cell(4.628632261096017, 1.047840370560438, 0.1163189847899107)
+    parameters = [point.parameter for point in follow(attracting(plate, cell), 1.0, points=220).points]
+    assert parameters == sorted(parameters)
+    assert parameters[-1] > 7.711416
 
 
 def test_a_graze_of_a_soft_contact_has_the_multipliers_of_its_neighbours():
