@@ -7,7 +7,7 @@ hops that never do.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Any, Final
 
 import numpy as np
@@ -118,7 +118,7 @@ def both_ways(
 ) -> Followed:
     """The whole branch through a cycle, followed both ways.
 
-    Each way ends as in `follow`, or where the cycle becomes a shorter one gone through twice.
+    Each way ends as in `follow`, or where the cycle becomes a shorter one gone through more than once.
     """
     up, after = up_to_shorter(follow(seed, 1.0, points=points, span=span, until=until))
     if len(up) > 1 and up[-1] is up[0]:
@@ -130,11 +130,17 @@ def both_ways(
 
 
 def up_to_shorter(line: Followed) -> Followed:
-    """The part of a branch before the flip at which it began to double; beyond, its halves change places."""
+    """The part of a branch before a shorter cycle, gone through more than once.
+
+    Beyond the flip at which it began to double its halves change places; beyond a graze it may go on there.
+    """
+    own = list(takewhile(lambda point: not repeats(point), line.points)) or line.points
     for k, event in enumerate(line.events):
+        if event.after >= len(own):
+            return Followed(own, line.events[:k])
         if event.turns and is_doubled(event.point):
             return Followed([*line.points[: event.after + 1], event.point], line.events[:k])
-    return line
+    return Followed(own, line.events)
 
 
 def is_doubled(point: Point) -> bool:

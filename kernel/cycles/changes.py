@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -88,22 +88,25 @@ def _lowest(point: Point, i: int, since: float, until: float, samples: int) -> t
     return float(time), float(value)
 
 
-def next_cycle(margin: Margin, point: Point) -> tuple[Kind, Point, Point] | None:
+def next_cycle(
+    margin: Margin, point: Point, goes_back: Callable[[Point], bool]
+) -> tuple[Kind, Point, Point] | None:
     """Kind of the change at `point`, the cycle there, and the first cycle beyond; None if that is not found.
 
     The margin is zero at `point`. The tangent of the first cycle leads away from the change. The cycle there
     is written with the fewer segments: with more, a vanishing duration divides the multipliers by zero.
+    goes_back: whether a cycle would lead back along the branch.
     """
     margin(point)  # updates the time at which it touches
     for edit in _edits(margin.broken, margin.time, point):
-        first = _first(edit)
+        first = _first(edit, goes_back)
         if first is not None:
             fewer = len(edit.cycles.letters) < len(point.letters)
             return edit.kind, edit.cycles.on_branch(edit.x) if fewer else point, first
     return None
 
 
-def _first(edit: _Edit) -> Point | None:
+def _first(edit: _Edit, goes_back: Callable[[Point], bool] = lambda _: False) -> Point | None:
     """The first admissible cycle beyond a change; None if there is none."""
     along = edit.cycles.on_branch(edit.x).tangent if edit.way is None else edit.way
     along = along / math.sqrt(along @ along)
@@ -113,7 +116,7 @@ def _first(edit: _Edit) -> Point | None:
             if point is None or np.abs(point.x - edit.x).max() > _BESIDE:  # on another branch
                 continue
             point = admissible(point.towards(way))
-            if point is not None:
+            if point is not None and not goes_back(point):
                 return point
     return None
 

@@ -49,6 +49,9 @@ _LAST_STICK, _LITTLE_STICK = 1e-6, 1e-4
 
 #: A segment shorter than this, rad, vanishes. Multipliers of neighbours that differ by more, relative, jump.
 _MINUTE, _JUMP = 1e-5, 1e-2
+#: A cycle leads back along the branch if the product of both tangents is below the first, and the unknowns
+#: differ by less than the second.
+_BACK, _SAME = -0.99, 1e-9
 #: Hops accumulate where the flight that ends a chatter touches within this time, rad.
 _NEXT_HOP: Final = 2e-3
 #: A branch ends at rest if its longest flight is shorter than the first, rad. It is followed down to the
@@ -121,7 +124,7 @@ def follow(
         last, after = line[-1], None
         end = _end(last)
         if end is None and stretch.broken is not None:
-            after, change = _change(stretch)
+            after, change = _change(stretch, partial(_goes_back, line))
             events += [event._replace(after=len(line) - 1) for event in change]
             end = _end_at(last, stretch.broken) if after is None else None
         closed = last is origin and len(line) > 1
@@ -316,20 +319,23 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
 # --- from one signature to the next -------------------------------------------------------------------------
 
 
-def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
-    """The first cycle beyond a change of the signature, or None; and the change, if it was located."""
+def _change(stretch: _Stretch, goes_back: Callable[[Point], bool]) -> tuple[Point | None, list[Event]]:
+    """The first cycle beyond a change of the signature, or None; and the change, if it was located.
+
+    goes_back: whether a cycle would lead back along the branch.
+    """
     last, broken, beyond = stretch.points[-1], stretch.broken, stretch.beyond
     if broken is not None and beyond is not None and len(beyond.x) == len(last.x):
         margin = Margin(broken, beyond)
         point = _root(last, stretch.step, margin)
-        after = None if point is None else next_cycle(margin, point)
+        after = None if point is None else next_cycle(margin, point, goes_back)
         if point is not None and after is not None:
             kind, changed, first = after
             # not of `point`: the parameter stands still where a duration vanishes with its square root
             return first, [Event(kind, changed, turns=last.rising * first.rising < 0.0)]
     shortest = int(np.argmin(last.times))
     if last.times[shortest] < _MINUTE:
-        after = next_cycle(Margin(Broken("vanishes", shortest), last), last)
+        after = next_cycle(Margin(Broken("vanishes", shortest), last), last, goes_back)
         if after is not None:
             kind, _, first = after
             turns = last.rising * first.rising < 0.0
@@ -337,7 +343,18 @@ def _change(stretch: _Stretch) -> tuple[Point | None, list[Event]]:
     if "C" not in last.letters:
         return None, []
     before = stretch.points[-2] if len(stretch.points) > 1 else None
-    return over_small_segment(last, before), []
+    over = over_small_segment(last, before)
+    return (None if over is None or goes_back(over) else over), []
+
+
+def _goes_back(line: list[Point], first: Point) -> bool:
+    """Whether the first cycle beyond a change lies on the branch behind, and leads back along it."""
+    alike = [point for point in line if point.letters == first.letters]
+    near = min(alike, key=lambda point: float(np.linalg.norm(point.x - first.x)), default=None)
+    if near is None or near.tangent @ first.tangent > _BACK:
+        return False
+    behind = ahead(near, float(near.tangent @ (first.x - near.x)))
+    return behind is not None and bool(np.abs(behind.x - first.x).max() < _SAME)
 
 
 def _multipliers_jump(a: Point, b: Point) -> bool:

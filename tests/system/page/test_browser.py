@@ -493,6 +493,15 @@ _TURN_TWICE = """plot => {
 }"""
 
 
+#: A step, and Back before anything else happens.
+_STEP_AND_BACK = """async (plot) => {
+    plot.dispatchEvent(new KeyboardEvent("keydown", { key: "+", bubbles: true, cancelable: true }));
+    const back = new Promise((done) => addEventListener("popstate", done, { once: true }));
+    history.back();
+    await back;
+}"""
+
+
 def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: str, loop: str):
     with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
         wait_shown(page, along="gamma")
@@ -509,6 +518,12 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         address = page.url
         page.locator(".panel .plot").evaluate(_TURN_TWICE)
         page.wait_for_url(re.compile("x0=.*y1="))
+        page.go_back()
+        page.wait_for_url(address)
+        page.locator(".panel .plot").evaluate(_STEP_AND_BACK)
+        page.wait_for_url(address)
+        page.go_forward()
+        page.wait_for_url(re.compile("x0="))
         page.go_back()
         page.wait_for_url(address)
         page.get_by_label("Ramp").select_option("up")

@@ -23,13 +23,13 @@ export function navigate(path, query = {}) {
 }
 
 // Browsers limit how often the address may change; a slider changes it hundreds of times.
-const write = debounced(120, flush);
+const write = debounced(120, () => flush());
 let pending = null; // `from`: the address that it replaces
 
-/** Write what is pending, unless a link has changed the address meanwhile. */
-function flush() {
+/** Write what is pending, unless a link or Back has changed the address meanwhile. */
+function flush(isStep = false) {
   if (pending?.from !== location.hash) return;
-  history.replaceState(null, "", link(pending.path, pending.query));
+  history[isStep ? "pushState" : "replaceState"](null, "", link(pending.path, pending.query));
   pending.from = location.hash;
 }
 
@@ -38,14 +38,12 @@ export const queryChanges = new EventTarget();
 
 /** Change query parameters; null removes one. With `isStep`, the browser's Back returns to the state before. */
 export function setQuery(changes, isStep = false) {
-  if (isStep) {
-    flush();
-    history.pushState(null, "", location.href);
-  }
+  if (isStep) flush();
   pending ??= { ...currentAddress(), from: location.hash };
   const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => (value ?? null) !== null);
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
-  write();
+  if (isStep) flush(true); // at once: written later it would replace the state to which Back has returned
+  else write();
   queryChanges.dispatchEvent(new Event("change"));
 }
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from contacts import rigid, soft
 
-from kernel.cycles.any_contact import branches, branches_at, up_to_shorter
+from kernel.cycles.any_contact import both_ways, branches, branches_at, repeats, up_to_shorter
 from kernel.cycles.changes import doubled
+from kernel.cycles.cycles import cycle_from
 from kernel.cycles.events import Kind
 from kernel.cycles.follow import LARGEST, End, follow
+from kernel.line import run_line
 from kernel.params import Cell
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
@@ -44,6 +46,13 @@ TABLE = [
     (rigid(0.8), 0.60, 0.05, (0.908499312368,), {STICK: 0.7867535018}),
     (rigid(0.9), 0.60, 0.05, (), {STICK: 0.8801070686}),
 ]  # fmt: skip
+
+
+def attracting(plate, cell):
+    """The cycle that a spring settles to from rest."""
+    window = {"settle": 200, "observe": 100, "keep": 16, "certify": True, "carry": False}
+    line = run_line(*np.array(cell)[:, None], plate=plate, **window)
+    return cycle_from(plate, cell, int(line.periods[0]), line.end_state[0])
 
 
 def gammas(followed, kind):
@@ -147,6 +156,24 @@ def test_a_doubled_branch_ends_beside_its_last_flip(plate, omega, xi):
             away = [np.abs(point.x[:5] - end.x[:5]).max() for point in points]
             assert min(away[len(kept) - 1 : len(kept) + 1]) == min(away)
     assert cuts > 0
+
+
+def test_a_branch_ends_where_a_graze_makes_its_cycle_a_shorter_one():
+    """A (3,2) cycle whose halves become equal as one of them grazes; beyond is (1,1), gone through twice."""
+    plate, cell = rigid(0.351), Cell(4.885425052692753, 0.9973321908882944, 0.16337752119602011)
+    line = both_ways(attracting(plate, cell), (0.05, 8.0), 250)
+    assert line.points[-1].parameter == pytest.approx(5.4894685, abs=1e-6)
+    assert line.events[-1].kind is Kind.GRAZE_FLIGHT
+    assert not any(map(repeats, line.points))
+
+
+def test_a_branch_does_not_lead_back_where_contacts_are_minute():
+    """Contacts appear and vanish within 1e-9 of Gamma. Longer steps beyond lead back to the branch behind."""
+    plate = soft(0.072, 3.6618356451136967e-06)
+    cell = Cell(4.628632261096017, 1.047840370560438, 0.1163189847899107)
+    parameters = [point.parameter for point in follow(attracting(plate, cell), 1.0, points=220).points]
+    assert parameters == sorted(parameters)
+    assert parameters[-1] > 7.711416
 
 
 def test_a_graze_of_a_soft_contact_has_the_multipliers_of_its_neighbours():
