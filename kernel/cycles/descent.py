@@ -121,7 +121,7 @@ def fold_of(event: Event) -> Fold:
         low, high = (np.prod(1.0 - side.multipliers) for side in sides if side is not None)
         slope = float(np.real((low - high) / (2.0 * _ASIDE * np.prod(1.0 - mu))))
     balance = cycle_energy(point) if set(point.letters) <= set("Ssz") else None
-    first, other = point.flights[0], float(mu[0].real)
+    first, other = point.flights[0], complex(mu[0])
     return Fold(cycle_of(point), first, point.parameter, other, curvature, slope, 0, balance)
 
 

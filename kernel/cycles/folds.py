@@ -50,7 +50,7 @@ class Fold(NamedTuple):
     cycle: Cycle
     flight_time: float  # rad, of the first flight
     gamma: float
-    other_multiplier: float  # the largest that is not 1
+    other_multiplier: complex  # the largest that is not 1
     curvature: float  # Gamma'' > 0
     slope: float  # of the multiplier that is 1
     violations: int  # 0, or the bits of a Reason

@@ -309,6 +309,11 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         why = f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
     elif spec.axis_values("gamma")[-1] < prediction.jump and down >= prediction.gamma_th - slack:
         why = f"the ramp begins below the jump at {prediction.jump:.6g}, on a cycle that shrinks to rest"
+    elif -slack <= down - prediction.gamma_th <= spacing + slack:
+        why = (
+            f"the ramp ends on another cycle, which shrinks to rest, {above:.3g} above the fold: start it on "
+            "the cycle that folds"
+        )
     return why
 
 

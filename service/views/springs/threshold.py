@@ -18,7 +18,14 @@ from service.views import proofs
 from service.views.springs.queries import ContactQuery, name_of
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, View, Xi
-from worker.analysis.prediction import decides, of_contact, predict, prediction_seconds, search_below
+from worker.analysis.prediction import (
+    decides,
+    is_ideal,
+    of_contact,
+    predict,
+    prediction_seconds,
+    search_below,
+)
 from worker.spec.contact_models import Contact, Rigid
 from worker.spec.errors import problems_of
 
@@ -93,12 +100,13 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
         "jump": thresholds.jump, "down": thresholds.down,
         "cause": thresholds.cause, "reason": thresholds.reason, "status": _status(contact, thresholds),
     }  # fmt: skip
+    gamma, what = np.nan, ""
     if search is not None:
         data["missed"] = search.missed
-    if search is not None and not search.gamma > thresholds.down * _SAME_END:
         gamma, what = (
             (search.gamma, search.what) if np.isfinite(search.gamma) else (thresholds.gamma_th, EQ_25)
         )
+    if search is not None and not gamma > thresholds.down * _SAME_END:
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
         data |= {row.name: getattr(search, row.name) for row in _OF_SEARCH}
     elif thresholds.fold is not None:
@@ -120,8 +128,8 @@ def _status(contact: Contact | None, thresholds: Thresholds) -> str:
     """How `down` was found."""
     if not np.isfinite(thresholds.down):
         return "unresolved"
-    fold = thresholds.fold
-    return "closed form" if contact is None and (fold is None or fold.cycle.word == "s") else "continued"
+    ideal, fold = contact is None or is_ideal(contact), thresholds.fold
+    return "closed form" if ideal and (fold is None or fold.cycle.word == "s") else "continued"
 
 
 def _calls(query: SpringQuery) -> list[Call]:

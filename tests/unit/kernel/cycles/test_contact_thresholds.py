@@ -34,6 +34,13 @@ def test_a_fold_is_of_its_shortest_cycle():
     assert thresholds_of(rigid(0.86), 0.62, 0.05).cause == "fold (4,1)"
 
 
+def test_a_fold_with_a_pair_of_multipliers_outside_the_unit_circle_decides_nothing():
+    """At 0.376615 they are 0.9285 +- 0.5707i: the modulus is 1.09."""
+    answer = thresholds_of(soft(0.8884, 6.59e-3), 0.8767, 0.0468)
+    assert answer.cause == UNRESOLVED
+    assert "the fold of (5,1) at Gamma = 0.376615 is unstable on both sides" in answer.reason
+
+
 def test_bouncing_ends_with_rest_where_no_fold_is_below():
     answer = thresholds_of(soft(), 0.5, 0.26)
     assert answer.cause == EQ_25

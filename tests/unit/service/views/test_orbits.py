@@ -18,6 +18,7 @@ from studies import spec_of
 from tables import for_each
 
 from kernel.cycles.thresholds import closed_form
+from kernel.search import Searched
 from service.client import Client
 from service.pictures import AXES
 from service.views import threshold
@@ -25,6 +26,7 @@ from service.views.registry import SPRINGS
 from service.views.springs import curves as curves_view
 from service.views.springs import orbits as orbits_view
 from service.views.springs import threshold as spring_threshold
+from worker.analysis.prediction import predict
 
 FOLD_060 = 0.553244593  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -97,6 +99,7 @@ def test_doubled_branches_have_flips_of_their_own(python_client: Client):
 
 @for_each(("query", "down", "status"), [
     ({}, 0.553244593, "closed form"),
+    ({"model": "rigid"}, 0.553244593, "closed form"),
     ({"model": "soft"}, 0.553241345562, "continued"),
     ({"model": "rigid", "restitution": 0.3}, 0.559952062803, "continued"),
     ({"model": "soft", "omega": 0.46}, np.nan, "unresolved"),  # a torus
@@ -109,6 +112,15 @@ def test_a_threshold_is_that_of_the_contact(
     assert float(answer.down) == pytest.approx(down, abs=1e-9, nan_ok=True)
     assert answer.status.item() == status
     assert answer.attrs["model"].startswith(query.get("model", "rigid, restitution 0"))
+
+
+def test_a_search_that_finds_nothing_leaves_the_fold_that_is_known():
+    query = spring_threshold.SpringQuery(**SPRING, search=True)
+    nothing = Searched(np.nan, "", starts=100)
+    answer = spring_threshold.compute_spring(None, query, predict(0.6, 0.05), nothing)
+    assert float(answer.down) == pytest.approx(FOLD_060, abs=1e-9)
+    assert (answer.cause.item(), answer.status.item()) == ("fold (1,1)", "closed form")
+    assert float(answer.missed) == nothing.missed
 
 
 @for_each(("query", "rule"), [
