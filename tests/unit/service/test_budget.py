@@ -54,8 +54,8 @@ class Simulated:
 def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
     runner = Simulated(cell, start, guess)
     answer: Answer = within(SPEC, budget, runner, clock=runner.clock)
-    assert runner.now <= budget * (1 + 1e-9)
-    assert answer.levels[-1].steps == WHOLE or sum(level.seconds for level in answer.levels) > 0.4 * budget
+    assert runner.now <= budget - 1.0 + 1e-9  # the end of a process takes a second
+    assert answer.levels[-1].steps == WHOLE or sum(level.seconds for level in answer.levels) > 0.3 * budget
     grids = [cells(level.spec, (1, 1, 1)) for level in answer.levels]
     assert grids == sorted(set(grids))
 
