@@ -24,10 +24,10 @@ SECOND_PART: Final = 1 / 12
 #: Most cells of the third level, in multiples of the second. Both separate the time in which a level begins
 #: from that of its cells. The first level, the coarsest, may have waited for its kernel to compile.
 THIRD: Final = 2.0
-#: Share for the end: stopping workers, moving the result, ending the process. At least END_SECONDS, of short
-#: budgets SHORT_END.
-END, SHORT_END = 0.02, 0.05
-END_SECONDS: Final = 1.0
+#: Share for the end: stopping workers, moving the result.
+END: Final = 0.02
+#: Ending the process takes up to this part of what its start took, more on a busy machine; its largest share.
+ENDING, MOST_ENDING = 0.25, 0.05
 #: No audit begins with fewer seconds left: its kernel may have to compile, which cannot be interrupted.
 LEAST_AUDIT: Final = 5.0
 #: Seconds that may be enough for a level.
@@ -96,7 +96,8 @@ def within(
     default now. known: steps of a level that may be complete.
     """
     began, answer = clock() if began is None else began, Answer()
-    whole_budget, budget = budget, budget - max(END * budget, min(END_SECONDS, SHORT_END * budget))
+    ending = min(ENDING * (clock() - began), MOST_ENDING * budget)
+    whole_budget, budget = budget, budget - max(END * budget, ending)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second
