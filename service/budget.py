@@ -26,7 +26,7 @@ SECOND_PART: Final = 1 / 12
 THIRD: Final = 2.0
 #: Share for the end: stopping workers, moving the result.
 END: Final = 0.02
-#: Ending the process takes up to this part of what its start took, more on a busy machine; at most this share.
+#: Ending the process takes up to this part of what its start took; the share reserved for it at most.
 ENDING, MOST_ENDING = 0.25, 0.1
 #: No audit begins with fewer seconds left: its kernel may have to compile, which cannot be interrupted.
 LEAST_AUDIT: Final = 5.0
