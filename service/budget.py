@@ -26,6 +26,8 @@ SECOND_PART: Final = 1 / 12
 THIRD: Final = 2.0
 #: Share for the end: stopping workers, moving the result.
 END: Final = 0.02
+#: Ending the process takes up to this part of what its start took; the share reserved for it at most.
+ENDING, MOST_ENDING = 0.25, 0.1
 #: No audit begins with fewer seconds left: its kernel may have to compile, which cannot be interrupted.
 LEAST_AUDIT: Final = 5.0
 #: Seconds that may be enough for a level.
@@ -94,7 +96,8 @@ def within(
     default now. known: steps of a level that may be complete.
     """
     began, answer = clock() if began is None else began, Answer()
-    whole_budget, budget = budget, budget * (1.0 - END)
+    end = min(ENDING * (clock() - began), MOST_ENDING * budget)
+    whole_budget, budget = budget, budget - max(END * budget, end)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second

@@ -20,7 +20,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -126,21 +125,30 @@ def run(
     DataFolderBusy
         Another process computes the same store.
     """
-    compute = partial(computed, spec, workers=workers, progress=progress, budget=budget, began=began)
+    computing: dict[str, Any] = {"workers": workers, "progress": progress, "budget": budget, "began": began}
     if store is None:
-        with temporary_folder("bounce-") as folder, compute(folder) as done:
+        with temporary_folder("bounce-") as folder, computed(spec, folder, **computing) as done:
             return _opened(done.job.store_url).load().assign_attrs(done.attributes)
+    attributes = run_to_store(spec, store, **computing)
+    return _opened(str(Path(store).absolute())).assign_attrs(attributes)
+
+
+def run_to_store(spec: Specification, store: str | os.PathLike[str], **computing: Any) -> dict[str, str]:
+    """Compute a study into a folder as `run` does; attributes of the Dataset beside those of the store.
+
+    It does not open the Dataset, which takes a second of imports.
+    """
     target, attributes = Path(store), dict[str, str]()
     if (ending := target.suffix.lower().removeprefix(".")) in {*EXPORTS, *PICTURES, *TABLES}:
         raise InvalidRequest.of("store", f"is a folder of zarr, not .{ending}: run_to_file writes files")
     if not _is_computed(target, spec):
         folder = partial_of(target)
-        with compute(folder) as done:
+        with computed(spec, folder, **computing) as done:
             computed_store, attributes = Path(done.job.store_url), done.attributes
         computed_store.rename(target)
         sync(target.parent)
         shutil.rmtree(folder)
-    return _opened(str(target.absolute())).assign_attrs(attributes)
+    return attributes
 
 
 def _opened(url: str) -> xarray.Dataset:
@@ -334,13 +342,14 @@ class _Runner:
 
     def audit(self, spec: Any, seconds: float) -> str | None:
         assert self._last is not None
+        deadline = time.monotonic() + seconds
         study = stored(self._last.record, self._last.job)
         query = audit.affordable(study.spec, seconds * self._executor.workers())
         # Compiling cannot be interrupted.
         if query is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
             return None
         calls = [self._executor.call(*call) for call in audit.parts(study, query)]
-        _, late = wait(calls, timeout=seconds)
+        _, late = wait(calls, timeout=max(deadline - time.monotonic(), 0.0))
         for call in late:
             call.cancel()
         if late:

@@ -120,7 +120,7 @@ def run(
     computing: dict[str, Any] = {"workers": workers, "budget": budget, "began": BEGAN}
     try:
         if format == "zarr":
-            local.run(specification, output, **computing)
+            local.run_to_store(specification, output, **computing)
         else:
             local.run_to_file(specification, output, format, query, **computing)
     except SystemExit:  # by a signal

@@ -27,6 +27,7 @@ from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.spec.time_steps import Cells
 from worker.sweep import AXES, SweepSpec
+from worker.sweep.specification import UNTIL
 
 #: Cells of a sample from rest; lines of a sample on ramps, and cells on each line.
 CELLS: Final = 120
@@ -148,11 +149,11 @@ def _auto(spec: SweepSpec) -> Auto:
 
 
 def _shortened(spec: SweepSpec, model: Soft | Rigid | Ball) -> SweepSpec:
-    """The sweep with another model and fixed windows for the comparison."""
-    settle, observe = spec.window
-    settle, observe = min(settle, MAX_SETTLE), min(observe, MAX_OBSERVE)
+    """The sweep with another model, within the limits of a sample; its cells settle as those of the sweep."""
+    observe, until = min(spec.observe, MAX_OBSERVE), min(spec.until or UNTIL, UNTIL)
+    settle = spec.settle if spec.settle == "auto" else min(spec.settle, MAX_SETTLE)
     micro_flight = max(spec.micro_flight, min(_auto(spec).tolerance, MAX_MICRO_FLIGHT))
-    windows = {"settle": settle, "observe": observe, "until": None, "keep": min(8 * observe, MAX_FLIGHTS)}
+    windows = {"settle": settle, "observe": observe, "until": until, "keep": min(8 * observe, MAX_FLIGHTS)}
     return spec.model_copy(update={"model": model, "micro_flight": micro_flight, **windows})
 
 

@@ -53,9 +53,9 @@ class Simulated:
 @given(st.floats(1e-5, 1e-2), st.floats(0.0, 0.5), st.floats(0.3, 3.0), st.floats(20.0, 900.0))
 def test_a_budget_is_never_missed_and_mostly_used(cell, start, guess, budget):
     runner = Simulated(cell, start, guess)
-    answer: Answer = within(SPEC, budget, runner, clock=runner.clock)
-    assert runner.now <= budget * (1 + 1e-9)
-    assert answer.levels[-1].steps == WHOLE or sum(level.seconds for level in answer.levels) > 0.4 * budget
+    answer: Answer = within(SPEC, budget, runner, clock=runner.clock, began=-4.0)
+    assert runner.now + 4.0 <= budget - 1.0 + 1e-9  # the end of a process takes a part of what its start took
+    assert answer.levels[-1].steps == WHOLE or sum(level.seconds for level in answer.levels) > 0.25 * budget
     grids = [cells(level.spec, (1, 1, 1)) for level in answer.levels]
     assert grids == sorted(set(grids))
 

@@ -12,6 +12,7 @@ from kernel.params import Line
 from worker.analysis.deviation import deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, sample
 from worker.sweep import SweepSpec
+from worker.sweep.task import run_cells
 
 RANGE = {"start": 1.0, "stop": 6.0, "num": 101}
 STIFF = {"restitution": 0.0, "penetration": 1e-6}
@@ -77,6 +78,15 @@ def test_cells_that_still_settle_are_compared_by_their_flights():
     choice = choose(sweep(0.01, **slow, model={"restitution": 0.0, "penetration": 1e-6}))
     assert choice.table[-1].cells == 2
     assert choice.model == "rigid"
+
+
+def test_a_choice_judges_cells_as_the_sweep_will_have_them():
+    """Six of these 60 springs settle after the window, and repeat in the sweep."""
+    axes = {"gamma": np.linspace(0.8, 3.0, 10).tolist(), "omega": np.linspace(0.8, 1.3, 6).tolist()}
+    spec = sweep(1e-3, **axes, xi=0.01, model={"restitution": 0.01, "penetration": 1e-5})
+    (line,) = sample(spec)
+    stored = run_cells(spec.model_copy(update={"model": spec.model.exact}), *line, None)
+    assert choose(spec).table[-1].repeating == np.count_nonzero(np.isin(stored.outcome, (1, 3)))
 
 
 @settings(max_examples=30)
