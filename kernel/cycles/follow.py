@@ -48,7 +48,7 @@ _PAIRS: Final = np.triu_indices(4, 1)
 _LAST_STICK, _LITTLE_STICK = 1e-6, 1e-4
 
 #: A segment shorter than this, rad, vanishes. Multipliers of neighbours that differ by more, relative, jump.
-_MINUTE, _JUMP = 1e-5, 1e-2
+_MINUTE, _JUMP = 1e-4, 1e-2
 #: A cycle leads back along the branch if the product of both tangents is below the first, and the unknowns
 #: differ by less than the second.
 _BACK, _SAME = -0.99, 1e-9

@@ -66,17 +66,26 @@ _VALUES: Final = (
 #: Functions that are not inlined into their callers.
 OUTLINED: Final[set[Callable[..., Any]]] = set()
 
+#: Objects of earlier compilations that are worth a collection, which takes as long as a small function.
+_MANY: Final = 300_000
+
 #: LLVM's levels of optimisation, one after the other: 2 before 2, or 3, makes kernels no faster.
 _SPEED_LEVELS: Final = (1, 2)
 
 
+#: The objects that the last collection left.
+_left: list[int] = [0]
+
+
 @contextmanager
 def _collecting_later() -> Iterator[None]:
-    """Keep the million objects that a compiler makes until the next compilation: most processes need one."""
+    """Keep the objects that a compiler makes, up to a million, until a later one collects them."""
     collects = gc.isenabled()
-    if gc.get_freeze_count():
+    if gc.get_freeze_count() > _left[0] + _MANY:
         gc.unfreeze()
         gc.collect()
+        gc.freeze()
+        _left[0] = gc.get_freeze_count()
     gc.disable()
     try:
         yield

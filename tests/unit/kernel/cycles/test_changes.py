@@ -89,6 +89,7 @@ def test_a_landing_that_takes_off_at_once():
         (rigid(0.0), Cell(3.077627136, 0.739284155, 0.203493656), Kind.IMMEDIATE_TAKEOFF, 3.353605),
         (rigid(0.0), Cell(4.658453925, 1.201557256, 0.124175664), Kind.IMMEDIATE_TAKEOFF, 5.4046),
         (soft(0.815, 1.2e-6, adhesive=False), Cell(4.290509, 1.25025, 0.256117), Kind.GRAZE_FLIGHT, 4.5273),
+        (soft(0.749, 1.88953569e-3), Cell(3.207142, 1.248445, 0.241986), Kind.GRAZE_FLIGHT, 3.78494),
         (soft(0.007, 6e-3, adhesive=False), Cell(3.15157, 1.258992, 0.123151), End.BELOW_SURFACE, 1.775045),
     ],
 )
