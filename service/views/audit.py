@@ -17,7 +17,7 @@ from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis import audit
 from worker.analysis.bisection import BOUNCING
-from worker.analysis.intervals import ENDLESS, bounds, covered
+from worker.analysis.intervals import ENDLESS, bounds, covered, percent
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
 
@@ -357,9 +357,9 @@ def _sentence(
 
 def _between(answer: _Answer) -> str:
     """The bounds of a share in percent."""
-    low, high = (f"{100.0 * share:.{2 if share < 0.995 else 3}g}" for share in (answer.low, answer.high))
-    if low == high:
-        return f"{high} %"
+    if answer.low == answer.high:
+        return f"{100.0 * answer.high:.3g} %"
+    low, high = percent(answer.low, upper=False), percent(answer.high, upper=True)
     return f"at most {high} %" if answer.low == 0.0 else f"{low} to {high} %"
 
 

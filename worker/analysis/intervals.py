@@ -6,6 +6,8 @@ a property. For 0 of n the upper bound is the rule of three, 1 - 0.05**(1/n).
 
 import math
 from bisect import bisect_left
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,8 @@ from numpy.typing import NDArray
 ABOVE, BELOW = 0.01, 0.05
 #: A population that no sample distinguishes from an infinite one, such as the points of a plane.
 ENDLESS = 10**9
+#: A share that is a round number but for this part is not rounded.
+_ROUND: Final = 1e-12
 
 
 def bounds(
@@ -45,6 +49,13 @@ def covered(sampled: int, population: int, above: int = 0) -> float:
     above: members of the sample with larger values; by default the value is the largest.
     """
     return 1.0 - bounds(0, above, sampled, population)[1]
+
+
+def percent(bound: float, *, upper: bool) -> str:
+    """A bound of a share in percent, rounded so that it remains one: to two digits, near 100 to three."""
+    digits = Context(2 if bound < 0.99 else 3, ROUND_CEILING if upper else ROUND_FLOOR)
+    exact = 100.0 * bound * (1.0 - _ROUND if upper else 1.0 + _ROUND)
+    return f"{float(digits.create_decimal(exact)):g}"
 
 
 def _at_most(number: int, sampled: int, having: int, population: int) -> float:

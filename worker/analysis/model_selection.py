@@ -22,7 +22,7 @@ from pydantic import Field
 
 from kernel.params import Line, Outcome
 from worker.analysis.deviation import deviations, percentile
-from worker.analysis.intervals import ENDLESS, bounds
+from worker.analysis.intervals import ENDLESS, bounds, percent
 from worker.spec.axes import Strict
 from worker.spec.contact_models import CONTACT_MODELS, Auto, Ball, Rigid, Soft
 from worker.spec.time_steps import Cells
@@ -207,7 +207,9 @@ def chosen(
     verdict = f"{row.model}: the cheapest {within}"
     if not _is_within(auto, row):
         verdict = f"{row.model}: no model is {within}, and this is the best"
-    most = "" if row.most is None else f", at most {100.0 * row.most:.2g} % of all with 95 % confidence"
+    most = (
+        "" if row.most is None else f", at most {percent(row.most, upper=True)} % of all with 95 % confidence"
+    )
     flights = f"{row.beyond} of {row.drawn} cells drawn have flights beyond it{most}"
     others = f"{row.unlike} of {row.cells - row.repeating} aperiodic ones another distribution"
     percentiles = ", ".join(f"{model.model} {_in_rad(model.percentile_95)}" for model in table)

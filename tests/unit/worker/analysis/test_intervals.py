@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from worker.analysis.intervals import bounds, covered
+from worker.analysis.intervals import bounds, covered, percent
 
 
 @settings(max_examples=40)
@@ -36,3 +36,11 @@ def test_undecided_members_widen_the_interval_on_both_sides():
     low, high = bounds(2, 5, 100, 10**6)
     assert low == bounds(2, 2, 100, 10**6)[0]
     assert high == bounds(5, 5, 100, 10**6)[1]
+
+
+@pytest.mark.parametrize(
+    ("share", "low", "high"),
+    [(0.0474, "4.7", "4.8"), (0.07, "7", "7"), (0.0, "0", "0"), (0.9996, "99.9", "100"), (1.0, "100", "100")],
+)
+def test_bounds_in_words_remain_bounds(share, low, high):
+    assert (percent(share, upper=False), percent(share, upper=True)) == (low, high)
