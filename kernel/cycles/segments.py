@@ -554,7 +554,7 @@ def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance:
     of hops takes START m**2 operations, not m**3.
     """
     n, m = segments, len(direction)
-    # with slices and functions of arrays this would compile three times as long
+    # with slices and functions of arrays `newton` would compile nearly twice as long
     a = np.empty((m, m + 2))
     reach = np.empty(m, np.int64)  # in each row, entries of later durations are zero
     for i in range(m):

@@ -4,15 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from contacts import rigid, soft
+from contacts import attracting, rigid, soft
 from paths import GOLDEN
 
 from kernel.cycles.any_contact import both_ways, branches
 from kernel.cycles.changes import doubled
-from kernel.cycles.cycles import cycle_from
 from kernel.cycles.events import Kind, branch_and_events
 from kernel.cycles.follow import End, follow
-from kernel.line import run_line
 from kernel.params import Cell
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
@@ -95,9 +93,6 @@ def test_a_landing_that_takes_off_at_once():
 )
 def test_branches_go_on_where_segments_vanish_or_appear_to_rounding(plate, cell, kind, gamma):
     """Springs whose branches broke off there. Gamma is as first followed; the kernel judges each cycle."""
-    window = {"settle": 200, "observe": 100, "keep": 16, "certify": True, "carry": False}
-    line = run_line(*np.array(cell)[:, None], plate=plate, **window)
-    seed = cycle_from(plate, cell, int(line.periods[0]), line.end_state[0])
-    _, events = both_ways(seed, (0.5, 8.0), 400)
+    _, events = both_ways(attracting(plate, cell), (0.5, 8.0), 400)
     assert min(np.abs(np.array(gammas(events, kind)) - gamma)) < 1e-4
     assert not gammas(events, End.UNKNOWN_CHANGE)

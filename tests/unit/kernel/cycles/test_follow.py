@@ -6,14 +6,12 @@ return map; 5,000 simulated plate periods on either side of each showed that a s
 
 import numpy as np
 import pytest
-from contacts import rigid, soft
+from contacts import attracting, rigid, soft
 
 from kernel.cycles.any_contact import both_ways, branches, branches_at, repeats, up_to_shorter
 from kernel.cycles.changes import doubled
-from kernel.cycles.cycles import cycle_from
 from kernel.cycles.events import Kind
 from kernel.cycles.follow import LARGEST, End, follow
-from kernel.line import run_line
 from kernel.params import Cell
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
@@ -46,13 +44,6 @@ TABLE = [
     (rigid(0.8), 0.60, 0.05, (0.908499312368,), {STICK: 0.7867535018}),
     (rigid(0.9), 0.60, 0.05, (), {STICK: 0.8801070686}),
 ]  # fmt: skip
-
-
-def attracting(plate, cell):
-    """The cycle that a spring settles to from rest."""
-    window = {"settle": 200, "observe": 100, "keep": 16, "certify": True, "carry": False}
-    line = run_line(*np.array(cell)[:, None], plate=plate, **window)
-    return cycle_from(plate, cell, int(line.periods[0]), line.end_state[0])
 
 
 def gammas(followed, kind):
