@@ -1,13 +1,14 @@
 """A sweep within a time: complete levels from coarse to fine, of which the last one is the answer.
 
-The first two levels are small, the third measures the speed, and the next fills the time. A level begins only
-if it fits into the rest of the time, and is cancelled when the time is over. The time includes compiling,
+The first levels are small and measure the speed, and the next fills the time. A level begins only if it fits
+into the rest of the time, and is cancelled when the time is over. The time includes compiling,
 waiting for workers and storing. The audit of the answer takes a part of it.
 """
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Final, Protocol
 
 from worker.spec.errors import Problem, SpecInvalid, describe
@@ -15,15 +16,18 @@ from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import WHOLE, Steps, cells, coarsest, finest, level
 from worker.sweep.protocols import KINDS, PROTOCOLS
 
-#: Shares of a budget for the second level, by the table of costs, and for the audit of the answer.
-SECOND, AUDIT = 0.05, 0.1
-#: A sweep that takes less than this share, by the table, has no coarser levels.
+#: Share of a budget for the audit of the answer.
+AUDIT: Final = 0.1
+#: A sweep that takes less than this share, by the table of costs, has no coarser levels.
 AT_ONCE: Final = 0.005
-#: Largest part of the sweep's cells in the second level: so finer levels can differ by little.
-SECOND_PART: Final = 1 / 12
-#: Most cells of the third level, in multiples of the second. Both separate the time in which a level begins
-#: from that of its cells. The first level, the coarsest, may have waited for its kernel to compile.
-THIRD: Final = 2.0
+#: Largest part of the cells that fit in a level that measures the speed, and the same where no smaller one
+#: contains the level before: what it takes is lost to the finest.
+PROBE, LARGE_PROBE = 0.1, 0.3
+#: A level measures the speed if it takes this share of the time that is left; or the second, if its time
+#: cannot be told from that in which a level begins.
+MEASURES, MEASURES_ALONE = 0.03, 0.2
+#: Those times are told apart where all of a level's time is at most this multiple of that of its cells.
+TOLD: Final = 1.2
 #: Share for the end: stopping workers, moving the result.
 END: Final = 0.02
 #: Ending the process takes up to this part of what its start took; the share reserved for it at most.
@@ -33,7 +37,7 @@ LEAST_AUDIT: Final = 5.0
 #: Seconds that may be enough for a level.
 LEAST: Final = 0.5
 #: A level begins if this multiple of its expected time is left.
-MARGIN: Final = 1.15
+MARGIN: Final = 1.2
 
 
 class Runner(Protocol):
@@ -101,9 +105,8 @@ def within(
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second
-    second, at_once = SECOND * budget * by_table, AT_ONCE * budget * by_table
     complete = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
-    steps: Steps | None = complete or (WHOLE if at_once >= whole else coarsest(spec))
+    steps: Steps | None = complete or (WHOLE if AT_ONCE * budget * by_table >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         measured = not runner.is_done(part)
@@ -116,10 +119,10 @@ def within(
         answer.levels.append(Level(part, steps, cells(spec, steps), took, measured))
         left = (budget - (clock() - began) - reserved) / MARGIN
         timed = [done for done in answer.levels if done.measured]
-        if not timed:  # only the table gives the speed, which may be wrong by half
-            steps = finest(spec, max(second, 0.5 * left * by_table), steps)
-        else:
-            steps = _finer(spec, timed, steps, second, left)
+        if steps == WHOLE:
+            break
+        # without a measurement only the table gives the speed, which may be wrong by half
+        steps = _finer(spec, timed, steps, left) if timed else finest(spec, 0.5 * left * by_table, steps)
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
@@ -135,34 +138,33 @@ def within(
     return answer
 
 
-def _finer(
-    spec: SweepSpec, levels: Sequence[Level], steps: Steps, second: float, seconds: float
-) -> Steps | None:
+def _finer(spec: SweepSpec, levels: Sequence[Level], steps: Steps, seconds: float) -> Steps | None:
     """The steps of the next level after `steps`; None if none fits into `seconds`.
 
-    levels: those that were timed. second: cells of the second level.
+    levels: those that were timed.
     """
-    last, whole, most = levels[-1], cells(spec, WHOLE), _affordable(levels, seconds)
-    small = most
-    if len(levels) == 1:
-        small = min(second, SECOND_PART * whole)
-    elif len(levels) == 2 and most < whole:
-        small = min(most, THIRD * last.cells)
-    return finest(spec, small, steps) or finest(spec, most, steps)
+    rate, start, told = _speed(levels)
+    most = (seconds - start) / rate
+    if levels[-1].seconds < (MEASURES if told else MEASURES_ALONE) * seconds:
+        probe = finest(spec, PROBE * most, steps) or coarsest(spec, steps)
+        if cells(spec, probe) <= LARGE_PROBE * most:
+            return probe
+    return finest(spec, most, steps)
 
 
-def _affordable(levels: Sequence[Level], seconds: float) -> float:
-    """Number of cells that a time allows, by the speed of the last level.
+def _speed(levels: Sequence[Level]) -> tuple[float, float, bool]:
+    """Seconds of a cell, and those in which a level begins, and whether two levels tell them apart.
 
-    Two levels separate the time in which a level begins from that of its cells.
+    If they do not, all of the last level's time counts as that of its cells, which is too much. The first
+    level may have waited for its kernel to compile.
     """
     *before, last = levels
-    rate, start = last.seconds / last.cells, 0.0
-    if before:
-        slope = (last.seconds - before[-1].seconds) / (last.cells - before[-1].cells)
-        rate = min(max(slope, 0.5 * rate), rate)
-        start = last.seconds - rate * last.cells
-    return (seconds - start) / rate
+    rate = last.seconds / last.cells
+    slope = (last.seconds - before[-1].seconds) / (last.cells - before[-1].cells) if before else 0.0
+    if TOLD * slope < rate:
+        return rate, 0.0, False
+    slope = min(slope, rate)
+    return slope, last.seconds - slope * last.cells, True
 
 
 def _thinning(steps: Steps) -> str:
@@ -172,6 +174,6 @@ def _thinning(steps: Steps) -> str:
     return f", {' and '.join(named)}" if named else ""
 
 
-def _part(step: float) -> str:
-    number = int(step)
-    return f"every {number}{ {2: 'nd', 3: 'rd'}.get(number, 'th') }" if step == number else "2 of 3"
+def _part(step: Fraction | int) -> str:
+    values, kept = Fraction(step).as_integer_ratio()
+    return f"every {values}{ {2: 'nd', 3: 'rd'}.get(values, 'th') }" if kept == 1 else f"{kept} of {values}"

@@ -28,8 +28,8 @@ SHARE: Final = 0.1
 HARD_AND_POINTS: Final = 2.5
 #: By default a time stepper follows the cells that take these core-seconds, up to this many.
 FOLLOWED, FOLLOWED_SECONDS = 10, 20.0
-#: The fewest cells of a sample within a budget; fewer say nothing.
-FEWEST_AFFORDED: Final = 20
+#: Cells of a sample within a budget: fewer say nothing, more would say little more.
+FEWEST_AFFORDED, MOST_AFFORDED = 20, 2000
 #: Bytes of a cell in an answer.
 _PER_CELL: Final = 400
 
@@ -386,7 +386,8 @@ def _followed(spec: SweepSpec, query: AuditQuery) -> int:
 def affordable(spec: SweepSpec, seconds: float) -> AuditQuery | None:
     """The audit without time steps that takes these core-seconds, by the table; None with too few cells."""
     cells = int(seconds / (HARD_AND_POINTS * audit.reference_seconds(spec)))
-    return None if cells < FEWEST_AFFORDED else AuditQuery(cells=min(cells, MOST_BY_DEFAULT), followed=0)
+    many = min(max(MOST_BY_DEFAULT, cells // 2), MOST_AFFORDED)  # the table may be wrong by half
+    return None if cells < FEWEST_AFFORDED else AuditQuery(cells=min(cells, many), followed=0)
 
 
 def is_compiled(study: Stored[SweepSpec]) -> bool:

@@ -5,8 +5,8 @@ these values. Pure: the caller measures the cost by which a level fits into a ti
 """
 
 import math
-from collections.abc import Iterator
-from itertools import product
+from collections.abc import Iterable
+from fractions import Fraction
 from typing import Final
 
 import numpy as np
@@ -14,16 +14,21 @@ from numpy.typing import NDArray
 
 from worker.sweep.specification import AXES, SweepSpec
 
-#: Steps that a level may take along an axis: divisors of the longest, so that levels can contain each other,
-#: and 1.5, two of three values, without which the last level would have twice the cells of the one before.
-STEPS: Final = (1, 1.5, 2, 3, 4, 6, 12, 24, 48, 96)
+#: Steps that the first level may take along an axis, and that a level within no other may. They have many
+#: divisors, as a level within another takes an integer part of its step.
+STEPS: Final = (1, 2, 3, 4, 6, 12, 24, 48, 96)
+#: Integer steps apart, a level takes at most this part of the step of the level within: a step of 24 / 7 is
+#: seven of 24 values. With integer steps alone a level may have half of the cells that fit.
+PARTS: Final = 24
+#: A step that is no integer counts as this much unevenness.
+UNEVEN: Final = 1.5
 #: The fewest values that a level keeps of an axis with more.
 FEWEST: Final = 5
 #: Among levels with at least this share of the cells that fit, the one with the most even steps is taken.
 NEARLY: Final = 0.9
 
 #: The steps of a level along AXES.
-Steps = tuple[float, ...]
+Steps = tuple[Fraction | int, ...]
 WHOLE: Final[Steps] = (1,) * len(AXES)
 
 
@@ -45,14 +50,17 @@ def is_level(spec: SweepSpec, other: SweepSpec) -> bool:
 
 def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
     """The indices of a level's values on the axes of the sweep."""
-    along = zip(spec.shape[1:], steps, strict=True)
-    return [np.append(np.arange(0, n - 1, step).astype(np.int64), n - 1) for n, step in along]
+    along = zip(spec.shape[1:], map(Fraction, steps), strict=True)
+    return [
+        np.append(np.arange(_values(n, step) - 1) * step.numerator // step.denominator, n - 1)
+        for n, step in along
+    ]
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
     """Number of cells of a level; each direction counts."""
     directions, *shape = spec.shape
-    return directions * math.prod(1 + math.ceil((n - 1) / step) for n, step in zip(shape, steps, strict=True))
+    return directions * math.prod(_values(n, Fraction(step)) for n, step in zip(shape, steps, strict=True))
 
 
 def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps | None:
@@ -60,31 +68,54 @@ def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps |
 
     within: steps of a smaller level that it must contain.
     """
+    choices, count = _levels(spec, within)
     fewest = 0 if within is None else cells(spec, within)
-    fitting = [steps for steps in _all_steps(spec, within) if fewest < cells(spec, steps) <= most]
-    enough = NEARLY * max((cells(spec, steps) for steps in fitting), default=0)
-    large = [steps for steps in fitting if cells(spec, steps) >= enough]
+    fitting = (count > fewest) & (count <= most)
+    enough = NEARLY * np.max(count, where=fitting, initial=0)
+    large = [_steps(choices, at) for at in np.argwhere(fitting & (count >= enough))]
     return min(large, key=lambda steps: (_unevenness(spec, steps), -cells(spec, steps)), default=None)
 
 
-def coarsest(spec: SweepSpec) -> Steps:
-    """The level with the fewest cells."""
-    return min(_all_steps(spec, None), key=lambda steps: cells(spec, steps))
+def coarsest(spec: SweepSpec, within: Steps | None = None) -> Steps:
+    """The level with the fewest cells. within: steps of a smaller level that it must contain, if any is."""
+    choices, count = _levels(spec, within)
+    larger = count > (0 if within is None else cells(spec, within))
+    fewest = np.min(count, where=larger, initial=np.max(count))
+    return _steps(choices, np.argwhere(larger & (count == fewest))[0])
 
 
-def _all_steps(spec: SweepSpec, within: Steps | None) -> Iterator[Steps]:
-    """The steps of all levels, or of those that contain the level `within`."""
-    choices = []
-    for i, n in enumerate(spec.shape[1:]):
-        steps = [step for step in STEPS if step == 1 or n > (FEWEST - 1) * step]
-        if within is None:  # multiples of 3 leave more levels in between
-            choices.append([step for step in steps if step in (1, 2) or step % 3 == 0])
-        else:
-            choices.append([step for step in steps if step == 1 or within[i] % step == 0])
-    return product(*choices)
+def _levels(spec: SweepSpec, within: Steps | None) -> tuple[list[list[Fraction]], NDArray[np.int64]]:
+    """The steps that levels may take along each axis, and the cells of each level."""
+    lengths = spec.shape[1:]
+    if within is None:
+        choices = [
+            [Fraction(step) for step in STEPS if step == 1 or n > (FEWEST - 1) * step] for n in lengths
+        ]
+    else:
+        choices = [_parts(n, Fraction(step)) for n, step in zip(lengths, within, strict=True)]
+    pairs = zip(lengths, choices, strict=True)
+    counts = [np.array([_values(n, step) for step in steps]) for n, steps in pairs]
+    return choices, np.asarray(spec.shape[0] * math.prod(np.ix_(*counts)))
+
+
+def _steps(choices: list[list[Fraction]], at: Iterable[int]) -> Steps:
+    return tuple(steps[i] for steps, i in zip(choices, at, strict=True))
+
+
+def _parts(n: int, step: Fraction) -> list[Fraction]:
+    """The steps of levels that contain one with this step along an axis with n values."""
+    parts = [step / part for part in range(1, int(step) + 1)]
+    kept = [part for i, part in enumerate(parts) if i < PARTS or part.denominator == 1]
+    return [*(part for part in kept if _values(n, part) < n), Fraction(1)]
+
+
+def _values(n: int, step: Fraction) -> int:
+    """Number of values that a level takes of an axis with n."""
+    return 1 + math.ceil((n - 1) / step)
 
 
 def _unevenness(spec: SweepSpec, steps: Steps) -> float:
     """The ratio of the longest step to the shortest, over the axes that a level can thin."""
     long = [step for n, step in zip(spec.shape[1:], steps, strict=True) if n > 2 * (FEWEST - 1)]
-    return max(long, default=1) / min(long, default=1)
+    fractions = sum(step.denominator > 1 for step in long)
+    return float(max(long, default=1) / min(long, default=1)) * UNEVEN**fractions
