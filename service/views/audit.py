@@ -386,7 +386,8 @@ def _followed(spec: SweepSpec, query: AuditQuery) -> int:
 def affordable(spec: SweepSpec, seconds: float) -> AuditQuery | None:
     """The audit without time steps that takes these core-seconds, by the table; None with too few cells."""
     cells = int(seconds / (HARD_AND_POINTS * audit.reference_seconds(spec)))
-    many = min(max(MOST_BY_DEFAULT, cells // 2), MOST_AFFORDED)  # the table may be wrong by half
+    # the table may be wrong by half, and more than all of a sweep's cells say nothing more
+    many = max(MOST_BY_DEFAULT, min(cells // 2, prod(spec.shape), MOST_AFFORDED))
     return None if cells < FEWEST_AFFORDED else AuditQuery(cells=min(cells, many), followed=0)
 
 
