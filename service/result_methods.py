@@ -322,7 +322,7 @@ class SpringMethods(Methods):
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
-        search: Annotated[bool, "search for what bounces below, by workers, half a minute a spring"] = False,
+        search: Annotated[bool, "search for what bounces below, by workers, seconds to minutes a spring"] = False,
         effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         timeout: float = 300.0,
         progress: Progress = True,
@@ -336,9 +336,9 @@ class SpringMethods(Methods):
         is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
         fold. A worker computes what takes longer than a second.
 
-        With `search`, for half a minute, workers start from many states at 30 values of Γ, and follow the cycles
-        that their transients pass by, and what survives, down to the end: an upper bound at any damping, with the
-        share of starts, `missed`, that a basin must have to be seen with 95 %.
+        With `search`, for seconds to minutes, workers start from many states at 30 values of Γ, and follow the
+        cycles that their transients pass by, and what survives, down to the end: an upper bound at any damping,
+        with the share of starts, `missed`, that a basin must have to be seen with 95 %.
 
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
         `cause`, `status`, `reason`, `missed`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²),
@@ -357,7 +357,7 @@ class SpringMethods(Methods):
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
-        search: Annotated[bool, "search for what bounces below, by workers, half a minute a spring"] = False,
+        search: Annotated[bool, "search for what bounces below, by workers, seconds to minutes a spring"] = False,
         effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
         timeout: float = 300.0,
         progress: Progress = True,

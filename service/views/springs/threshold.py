@@ -60,7 +60,7 @@ class SearchQuery(ContactQuery):
     """A contact, and whether to search."""
 
     search: Annotated[
-        bool, Field(description="search for what bounces below, by workers, half a minute a spring")
+        bool, Field(description="search for what bounces below, by workers, seconds to minutes a spring")
     ] = False
     effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
 
@@ -88,9 +88,9 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
 
-    With `search`, for half a minute, workers start from many states at 30 values of Γ, and follow the cycles
-    that their transients pass by, and what survives, down to the end: an upper bound at any damping, with the
-    share of starts, `missed`, that a basin must have to be seen with 95 %.
+    With `search`, for seconds to minutes, workers start from many states at 30 values of Γ, and follow the
+    cycles that their transients pass by, and what survives, down to the end: an upper bound at any damping,
+    with the share of starts, `missed`, that a basin must have to be seen with 95 %.
     """
     contact = query.contact()
     *before, search = computed if query.search else (*computed, None)
