@@ -85,6 +85,11 @@ def check(kind: object, budget: object) -> None:
         raise SpecInvalid([Problem("budget", rule)])
 
 
+def usable(budget: float, started: float) -> float:
+    """Seconds between a start that took `started` seconds and the end, which takes some of a budget."""
+    return budget - started - max(END * budget, min(ENDING * started, MOST_ENDING * budget))
+
+
 def within(
     spec: SweepSpec,
     budget: float,
@@ -100,8 +105,8 @@ def within(
     default now. known: steps of a level that may be complete.
     """
     began, answer = clock() if began is None else began, Answer()
-    end = min(ENDING * (clock() - began), MOST_ENDING * budget)
-    whole_budget, budget = budget, budget - max(END * budget, end)
+    started = clock() - began
+    whole_budget, budget = budget, started + usable(budget, started)
     reserved = AUDIT * budget
     whole = cells(spec, WHOLE)
     by_table = whole / runner.seconds(spec)  # cells in a second

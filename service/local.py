@@ -11,13 +11,16 @@ same bytes.
 """
 
 import errno
+import json
 import math
 import os
 import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -47,18 +50,18 @@ from service.views.registry import admit, answer, stored
 from service.views.springs import threshold
 from service.views.view import Call, Query
 from worker import store as stores
-from worker.analysis.audit import compile_for as compile_for_audit
+from worker.analysis.audit import is_compiled as is_compiled_for_audit
 from worker.executors.inline import Inline
 from worker.files import complete_file, sync
 from worker.kernel_cache import use_cache
 from worker.ownership import temporary_folder
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.spec.errors import rule_of
+from worker.spec.errors import Problem, SpecInvalid, rule_of
 from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import is_level
 from worker.sweep.specification import is_open
-from worker.work import compile_for
+from worker.work import compile_for, is_compiled
 
 #: Seconds between two checks of the job's progress.
 LOOK_SECONDS: Final = 0.05
@@ -287,10 +290,16 @@ def computed(
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)
-        _compile(parsed, progress, audited=budget is not None and budget >= COMPILING_BUDGET)
-        manager.start()
-        try:
-            runner = _Runner(manager, ledger, executor, progress)
+        runner = _Runner(manager, ledger, executor, progress)
+        with ExitStack() as stack:
+            if budget is None:
+                _compile(parsed, progress)
+            else:
+                left = budgets.usable(budget, time.monotonic() - began)
+                audited = budget >= COMPILING_BUDGET
+                stack.enter_context(_compiled_within(parsed, left, progress, audited=audited))
+            manager.start()
+            stack.callback(manager.stop)
             if budget is None:
                 expected = runner.seconds(parsed)
                 # before the first chunk nothing is measured
@@ -299,8 +308,6 @@ def computed(
                 yield runner.done(parsed)
             else:
                 yield runner.within(parsed, budget, began)
-        finally:
-            manager.stop()
 
 
 class _Runner:
@@ -413,11 +420,8 @@ def _settings(folder: Path) -> Settings:
     return Settings.model_construct(data=folder.absolute())
 
 
-def _compile(spec: Any, progress: bool | ProgressCallback, *, audited: bool) -> None:
-    """Compile a study's kernels in one thread rather than in all workers at once; can be interrupted.
-
-    audited: afterwards, beside the levels, compile for their audit, too.
-    """
+def _compile(spec: Any, progress: bool | ProgressCallback) -> None:
+    """Compile a study's kernels in one thread rather than in all workers at once; can be interrupted."""
     if is_open(spec):  # choosing the model compiles
         return
     # in a thread: the compiler blocks Python for seconds, and may lose an exception
@@ -425,13 +429,54 @@ def _compile(spec: Any, progress: bool | ProgressCallback, *, audited: bool) -> 
     compiled = thread.submit(compile_for, spec)
     while not wait([compiled], LOOK_SECONDS).done:
         if progress is True and any(time.time() - x.began > MESSAGE_SECONDS for x in compilations()):
-            label = CONTACT_MODELS[spec.model.kind].label
-            with display_elapsed(f"compiling the {label}, or loading it from the cache"):
+            with display_elapsed(_compiling(spec)):
                 wait([compiled])
     compiled.result()
-    if audited:
-        thread.submit(compile_for_audit, spec)
     thread.shutdown(wait=False)
+
+
+def _compiling(spec: Any) -> str:
+    return f"compiling the {CONTACT_MODELS[spec.model.kind].label}, or loading it from the cache"
+
+
+@contextmanager
+def _compiled_within(
+    spec: Any, seconds: float, progress: bool | ProgressCallback, *, audited: bool
+) -> Iterator[None]:
+    """As `_compile`, for at most `seconds`; audited: beside the block, compile for the audit of a sweep.
+
+    Another process compiles, as that can be ended. Raises SpecInvalid if the time is over before.
+    """
+    if is_open(spec) or (is_compiled(spec) and not (audited and not is_compiled_for_audit(spec, None))):
+        _compile(spec, progress)
+        yield
+        return
+    command = [sys.executable, "-P", "-m", "worker.analysis.audit"]
+    started = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
+    with started as process, ThreadPoolExecutor(1) as thread:
+        try:
+            asked = thread.submit(_ask, process, json.dumps(spec.as_submitted()))
+            with display_elapsed(_compiling(spec), MESSAGE_SECONDS) if progress is True else nullcontext():
+                in_time = wait([asked], max(seconds, 0.0)).done
+            if not in_time:
+                enough = max(2.0 * seconds, COMPILING_BUDGET)
+                rule = f"was over before the {CONTACT_MODELS[spec.model.kind].label} was compiled"
+                raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
+            _compile(spec, False if asked.result() else progress)
+            yield
+        finally:
+            process.kill()
+
+
+def _ask(process: "subprocess.Popen[str]", spec: str) -> str:
+    """The first line of a process that reads a specification; "" if it ends without one."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    with suppress(OSError), process.stdin:
+        process.stdin.write(spec)
+    return process.stdout.readline()
 
 
 def _is_computed(target: Path, spec: Specification) -> bool:

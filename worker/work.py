@@ -193,7 +193,7 @@ def compile_kernels() -> None:
         contact: Any = model.fields(kind=kind)
         plate = plate_of(contact, axis, axis, axis)
         for exponents in {0, dimension(plate)}:
-            _run_briefly(axis, axis, axis, plate=plate, carry=False, exponents=exponents)
+            _brief_run(axis, axis, axis, plate=plate, carry=False, exponents=exponents).advance()
         sample(Cell(1.0, 1.0, 1.0), plate, None, periods=1, samples=1)
         if kind in ("rigid", "soft"):
             thresholds_of(plate, 0.6, 0.05)
@@ -206,11 +206,21 @@ def compile_for(spec: Any) -> None:
     kernels.
     """
     if hasattr(spec, "model"):
-        cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
-        carry = getattr(spec, "ramp_axis", None) is not None
-        plate = plate_of(spec.model, *cell)
-        _run_briefly(*cell, plate=plate, carry=carry, exponents=getattr(spec, "exponents", 0))
+        _first_cell(spec).advance()
 
 
-def _run_briefly(*cell: NDArray[np.float64], **options: Any) -> None:
-    LineRun(*cell, settle=0, observe=1, keep=1, **options).advance()
+def is_compiled(spec: Any) -> bool:
+    """Whether `compile_for` compiles nothing."""
+    return not hasattr(spec, "model") or _first_cell(spec).is_compiled()
+
+
+def _first_cell(spec: Any) -> LineRun:
+    cell = [spec.axis_values(axis)[:1] for axis in ("gamma", "omega", "xi")]
+    carry = getattr(spec, "ramp_axis", None) is not None
+    return _brief_run(
+        *cell, plate=plate_of(spec.model, *cell), carry=carry, exponents=getattr(spec, "exponents", 0)
+    )
+
+
+def _brief_run(*cell: NDArray[np.float64], **options: Any) -> LineRun:
+    return LineRun(*cell, settle=0, observe=1, keep=1, **options)

@@ -11,8 +11,12 @@ the corners of the grid, and cells next to another mode.
 
 The reference shares closed forms and root search with the sweep. So resting and periodic cells of a soft
 contact are also followed from their last states by `stepped`, which uses neither.
+
+`python -m worker.analysis.audit` compiles the kernels of the sweep on its input and then those of its audit,
+and writes a line after each.
 """
 
+import sys
 from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -387,3 +391,15 @@ def _modes(spec: SweepSpec, line: Line, longer: int) -> list[tuple[int, ...]]:
         label = label_codes(line.outcome, line.lyapunov, line.lyapunov_error, longer * spec.observe)
     arrays = (*(getattr(line, name) for name in schema.MODE_ARRAYS), label)
     return list(zip(*(array.tolist() for array in arrays), strict=True))
+
+
+if __name__ == "__main__":
+    from worker.kernel_cache import use_cache
+    from worker.work import compile_for as compile_kernels_for
+
+    use_cache()
+    sweep = SweepSpec.from_json(sys.stdin.read())
+    for compile_all in (compile_kernels_for, compile_for):
+        compile_all(sweep)
+        sys.stdout.write("compiled\n")
+        sys.stdout.flush()

@@ -316,3 +316,11 @@ def test_a_reader_that_goes_away_is_no_error(url: str, job: str):
     listing.stderr.close()
     listing.wait(DEADLINE)
     assert "Traceback" not in errors
+
+
+def test_a_budget_ends_while_its_kernel_compiles(spec: Path, tmp_path: Path):
+    ended = subprocess.run(
+        [BOUNCE, "run", spec, "--budget", "2s", "-o", tmp_path / "a.zarr"], check=False, capture_output=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}, text=True,
+    )  # fmt: skip
+    assert re.search("was over before the .* contact was compiled; 60s may work", ended.stderr)
