@@ -60,7 +60,7 @@ class ResultMethods(Methods):
 
         A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
         `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
-        unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
+        unless all of a cell are so short. Flights that are not shown are NaN, too, and all of classes to `hide`.
 
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
         (rad), `flights`, `bounces`, `periods`, `flight_error` (rad), `multiplier`, `multiplier_angle` (rad),

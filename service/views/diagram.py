@@ -110,7 +110,7 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
 
     A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
     `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
-    unless all of a cell are so short. Flights that are not shown, or of classes to `hide`, are NaN too.
+    unless all of a cell are so short. Flights that are not shown are NaN, too, and all of classes to `hide`.
     """
     spec, along = study.spec, query.along
     fixed, window = selection.fixed_axes(spec, query), _window(spec, query)
@@ -179,9 +179,13 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
     """The variables, with NaN for flights outside the window and of hidden cells."""
     times, low, high = arrays["flight_time"], query.flight_start, query.flight_stop
     shown = (times >= (-np.inf if low is None else low)) & (times <= (np.inf if high is None else high))
+    masks = {"flight_time": shown, "takeoff_phase": shown}
     if query.hide is not None:
-        shown &= ~selection.hidden_cells(arrays, query.hide)[..., np.newaxis]
-    return arrays | {name: np.where(shown, arrays[name], np.nan) for name in ("flight_time", "takeoff_phase")}
+        seen = ~selection.hidden_cells(arrays, query.hide)
+        shown &= seen[..., np.newaxis]
+        masks |= {"lyapunov": seen[..., np.newaxis], "lyapunov_error": seen}
+    kept = {name: np.where(mask, arrays[name], np.nan) for name, mask in masks.items() if name in arrays}
+    return arrays | kept
 
 
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:

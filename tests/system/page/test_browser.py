@@ -7,6 +7,7 @@ import os
 import re
 import webbrowser
 from contextlib import ExitStack, closing
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -670,6 +671,16 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
         below.wait_for()
         wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
         assert "λ₁ per plate period" in below.inner_text()
+        page.get_by_text("Table of what is shown").click()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        rows = list(csv.DictReader(Path(download.value.path()).read_text().splitlines()))
+        stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()["data_vars"]
+        assert [float(row["λ₁"]) for row in rows] == [first for [first] in stored["lyapunov"]["data"]]
+        assert [float(row["error of λ₁"]) for row in rows] == stored["lyapunov_error"]["data"]
+        for shown in page.locator(".legend button").all():
+            shown.click()
+        wait_for(lambda: "λ₁ from −0.1 to 0.1" in below.inner_text())  # of no cell
 
 
 def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
@@ -830,6 +841,9 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
         assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
 
 
+_LOWERED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
 def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_up(browser: Any, address: str):
     job = done(address, spec_of((1.23456, 1.23457, 11), 0.5, 0.2))
     stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()
@@ -851,13 +865,16 @@ def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_u
         names = page.locator(".paged tbody th")
         wait_for(lambda: names.count() == len(gamma))
         assert names.all_inner_texts()[:3] == ["1.23456", "1.234561", "1.234562"]
+        errors = page.locator(".paged tbody td:nth-child(4)").all_inner_texts()
         with page.expect_download() as download:
             page.get_by_role("button", name="Download table as CSV").click()
         with Path(download.value.path()).open(newline="") as file:
             rows = list(csv.DictReader(file))
         assert [float(row["Γ"]) for row in rows] == gamma
-        shown = [float(row["flight error ≤ (rad)"]) for row in rows]
+        powers = [text if "·" in text else f"1·{text}" for text in errors]
+        shown = [float(text.replace("·10", "e").translate(_LOWERED)) for text in powers]
         assert all(bound <= text <= 2 * bound for bound, text in zip(bounds, shown, strict=True))
+        assert [float(row["flight error ≤ (rad)"]) for row in rows] == bounds
         page.get_by_role("link", name="Duplicate").click()
         page.get_by_text("11 values: 1.23456, 1.234561, 1.234562 … 1.23457").wait_for()
 
@@ -947,6 +964,10 @@ def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
             )
             shown.add(page.locator(".beside .plot").get_attribute("data-shown"))
         screenshot(page, "map-and-diagram", whole=False)
+        page.locator(".panel").first.get_by_role("button", name="log y").click()
+        page.wait_for_url(re.compile("log=y"))  # of the frequency, which the diagram has not
+        page.wait_for_timeout(300)
+        assert "φ (rad) from 0 to" in page.locator(".beside .plot").first.inner_text()
 
 
 def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, address: str):
@@ -960,6 +981,15 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
         page.locator(".panel .readout", has_text="|μ|: 0.").wait_for()
         assert "flight error ≤" in page.locator(".panel .readout").inner_text()
         screenshot(page, "modes-margin")
+        page.get_by_text("Table of what is shown").click()
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download table as CSV").click()
+        rows = csv.DictReader(Path(download.value.path()).read_text().splitlines())
+    answer = httpx2.get(f"{address}/v1/jobs/{job}/modes?color=multiplier", timeout=DEADLINE).json()
+    stored = chain(*answer["data_vars"]["multiplier"]["data"])
+    assert [float(row["|μ|"] or "nan") for row in rows] == pytest.approx(
+        [math.nan if modulus is None else modulus for modulus in stored], rel=0, abs=0, nan_ok=True
+    )
 
 
 def test_what_is_copied_and_saved_says_of_which_spring_and_as_sharply_as_known(browser: Any, address: str):

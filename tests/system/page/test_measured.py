@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import DROP, needs_chromium, open_tab, opened, screenshot, wait_shown
+from browser import DROP, needs_chromium, open_tab, opened, picture, screenshot, wait_shown
+from scripted import wait_for
 from served import done
 from studies import spec_of
 
@@ -71,3 +72,13 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points").wait_for()
         open_tab(page, "Thresholds")
         page.locator(".measured", has_text="thresholds.csv: 1 of 1 point").wait_for()
+
+
+def test_an_error_that_reaches_below_zero_is_drawn_on_a_logarithmic_axis(browser: Any, address: str):
+    with opened(browser, f"{address}/#/job/{done(address, SWEEP)}/diagram?omega=0.6&log=y") as page:
+        wait_shown(page, omega=0.6)
+        page.evaluate(DROP, ["error.csv", "gamma,flight_time\n1,4"])
+        page.locator(".measured", has_text="error.csv: 1 of 1 point").wait_for()
+        bare = picture(page)
+        page.evaluate(DROP, ["error.csv", "gamma,flight_time,error\n1,4,9"])
+        wait_for(lambda: picture(page) != bare)

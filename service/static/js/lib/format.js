@@ -21,7 +21,7 @@ export const plain = (text) => text.replace(/^–$/, "").replaceAll("−", "-")
   .replace(/(·?)10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)/g, (_, times, power) => `${times ? "" : "1"}e${translated(power, RAISED, DIGITS)}`);
 
 /** A number in a table; in files it is not rounded. */
-export const exact = (value, whole, digits) => (whole ? String(value) : number(value, digits));
+export const exact = (value, whole, digits) => (whole && !Number.isNaN(value) ? String(value) : number(value, digits));
 export const share = (fraction, digits = 3) => (Number.isNaN(fraction) ? "–" : `${number(100 * fraction, digits)} %`);
 export const count = (value) => String(value).replace(/\B(?=(\d{3})+$)/g, ","); // toLocaleString takes 20 ms the first time
 export const plural = (n, singular) => `${count(n)} ${singular}${n === 1 ? "" : "s"}`;

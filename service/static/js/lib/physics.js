@@ -1,6 +1,6 @@
 // Axes of a sweep, outcomes of its cells, starts and cycles, Eq. 25: what the page knows of the model.
 
-import { number } from "./format.js";
+import { exact, number } from "./format.js";
 
 /** The axes in the order they are shown. */
 export const AXES = ["gamma", "omega", "xi"];
@@ -109,17 +109,17 @@ function boundText(bound) {
 
 /** What a table says of cells, as columns: of the `variables` that any of them has. `locate(cell)`: the variables that hold a cell, and its index in them. */
 export function cellColumns(variables, locate) {
-  const column = (title, name, text) => variables[name] && [title, (cell) => {
+  const column = (title, name, text, isCommon) => variables[name] && [title, (cell, whole) => {
     const [cells, i] = locate(cell);
-    return cells[name] ? text(cells, i) : ""; // of compared sweeps only some may have it
-  }];
-  const origin = (cells, i) => (cells.computed[i] ? "computed" : "taken from its block");
+    return cells[name] ? text(cells, i, whole) : ""; // of compared sweeps only some may have it
+  }, isCommon];
   return [
     ["mode", (cell) => modeText(...locate(cell))],
-    column("λ₁", "lyapunov", (cells, i) => exponentText(exponentOf(cells, i), cells.lyapunov_error[i])),
-    column("|μ|", "multiplier", (cells, i) => number(cells.multiplier[i], 3)),
-    column("flight error ≤ (rad)", "flight_error", (cells, i) => boundText(cells.flight_error[i])),
-    column("cell", "computed", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : origin(cells, i))),
+    column("λ₁", "lyapunov", (cells, i, whole) => (whole ? exact(exponentOf(cells, i), whole) : exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))),
+    column("error of λ₁", "lyapunov_error", (cells, i, whole) => whole && exact(cells.lyapunov_error[i], whole), true),
+    column("|μ|", "multiplier", ({ multiplier }, i, whole) => exact(multiplier[i], whole, Math.max(3, digitsTo(multiplier[i], 1 - multiplier[i])))), // never 1
+    column("flight error ≤ (rad)", "flight_error", (cells, i, whole) => (whole ? exact : boundText)(cells.flight_error[i], whole)),
+    column("cell", "computed", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : ["taken from its block", "computed"][Number(cells.computed[i])])),
   ].filter(Boolean);
 }
 

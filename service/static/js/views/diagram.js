@@ -51,10 +51,9 @@ export class Diagram extends PlotView {
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #exponents() {
     const { left, width, x } = this.plot.box;
-    const pointsOf = (line) => Array.from(line.values, (value, cell) => ({ line, value, exponent: exponentOf(line, cell) }));
-    const points = this.lines.flatMap(pointsOf).filter(({ exponent }) => Number.isFinite(exponent));
-    const exponents = points.map(({ exponent }) => exponent);
-    const [low, high] = [Math.min(0, ...exponents), Math.max(0, ...exponents)];
+    const pointsOf = (line) => Array.from(line.values, (value, cell) => ({ line, cell, value, exponent: exponentOf(line, cell) }));
+    const points = this.lines.flatMap(pointsOf).filter((point) => Number.isFinite(point.exponent) && !this.isHidden(point));
+    const [low, high] = points.reduce(([least, most], { exponent }) => [Math.min(least, exponent), Math.max(most, exponent)], [0, 0]);
     const margin = 0.08 * (high - low) || 0.1;
     return {
       margins: [left, this.plot.element.clientWidth - left - width],
@@ -140,7 +139,7 @@ export class Diagram extends PlotView {
     const [x0, x1] = [Math.min(...ends.map(([low]) => low)), Math.max(...ends.map(([, high]) => high))];
     const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest(x0, x1) ?? 0) || TWO_PI;
     const lowest = Math.min(...this.lines.map((line) => line.lowest)) / 1.5;
-    const isLog = currentQuery().log?.includes("y");
+    const isLog = this.wantedLog()?.includes("y");
     return { x0, x1, y0: isLog && lowest < flights ? lowest : 0, y1: (isLog ? 1.5 : 1.09) * (this.cycles ? Math.max(flights, TWO_PI) : flights) };
   }
 

@@ -93,7 +93,7 @@ export class MeasuredPoints {
   draw(ctx, box) {
     for (const { x, y, error } of this.points) {
       const [px, py] = [box.x.pixel(x), box.y.pixel(y)];
-      if (error > 0) polyline(ctx, box.theme.cursor, 1, [[px, box.y.pixel(y - error)], [px, box.y.pixel(y + error)]]);
+      if (error > 0) polyline(ctx, box.theme.cursor, 1, [[px, box.y.pixel(Math.max(y - error, box.y.low))], [px, box.y.pixel(y + error)]]);
       const corners = [[px, py - SIZE], [px + SIZE, py], [px, py + SIZE], [px - SIZE, py], [px, py - SIZE]];
       polygon(ctx, box.theme.surface, corners);
       polyline(ctx, box.theme.cursor, 1.4, corners);

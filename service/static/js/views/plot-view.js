@@ -102,12 +102,14 @@ export class PlotView {
     return windowIn(currentQuery());
   }
 
+  /** The logarithmic axes of the address; beside a map, y is another axis than the map's. */
+  wantedLog = (log = currentQuery().log) => (this.isBeside && log ? log.replace("y", "") || "none" : log);
+
   /** The window on display: of a logarithmic axis, what is above zero. */
   visible = () => this.#positive(this.window ?? this.extent());
 
   #positive(window) {
-    const { log = "" } = currentQuery();
-    const lowest = (name, low, high) => (log.includes(name) && low <= 0 ? high / LOG_RANGE : low);
+    const lowest = (name, low, high) => (this.wantedLog()?.includes(name) && low <= 0 ? high / LOG_RANGE : low);
     return { ...window, x0: lowest("x", window.x0, window.x1), y0: lowest("y", window.y0, window.y1) };
   }
 
@@ -183,8 +185,7 @@ export class PlotView {
   /** The axes of the window on display, of which `x` and `y` have label and marks. */
   scales(x, y) {
     const { x0, x1, y0, y1 } = this.visible();
-    const { log } = currentQuery();
-    this.log = (this.windowed && log) || `${x.log ? "x" : ""}${y.log ? "y" : ""}` || "none"; // for the service too
+    this.log = (this.windowed && this.wantedLog()) || `${x.log ? "x" : ""}${y.log ? "y" : ""}` || "none"; // for the service too
     const [isX, isY] = ["x", "y"].map((axis) => this.log.includes(axis));
     this.logButtons.forEach((button, i) => Object.assign(button, { ariaPressed: String([isX, isY][i]), disabled: false }));
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };

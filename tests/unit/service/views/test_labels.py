@@ -2,6 +2,7 @@
 
 from typing import Final
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from matplotlib.figure import Figure
@@ -40,6 +41,10 @@ def test_a_diagram_tells_quasi_periodic_from_chaotic_cells(client: TestClient, j
     flights, exponents = figure.axes
     assert exponents.lines[1].get_ydata().tolist() == found.lyapunov.values[:, 0].tolist()
     assert exponents.get_xlim() == flights.get_xlim()
+    hidden = read(client, f"{job}/diagram", omega=1.0, hide="chaotic")
+    for name in ("lyapunov", "lyapunov_error"):
+        assert np.isnan(hidden[name].values[3]).all()
+        np.testing.assert_array_equal(hidden[name].values[:3], found[name].values[:3])
 
 
 #: Slow settling next to the resonance, and a window too short for it.
