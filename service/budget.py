@@ -32,8 +32,8 @@ TOLD: Final = 1.2
 END: Final = 0.02
 #: Ending the process takes up to this part of what its start took; the share reserved for it at most.
 ENDING, MOST_ENDING = 0.25, 0.1
-#: No audit begins with fewer seconds left: its kernel may have to compile, which cannot be interrupted.
-LEAST_AUDIT: Final = 5.0
+#: No audit begins with fewer seconds left.
+LEAST_AUDIT: Final = 1.0
 #: Seconds that may be enough for a level.
 LEAST: Final = 0.5
 #: A level begins if this multiple of its expected time is left.
@@ -181,4 +181,5 @@ def _thinning(steps: Steps) -> str:
 
 def _part(step: Fraction | int) -> str:
     values, kept = Fraction(step).as_integer_ratio()
-    return f"every {values}{ {2: 'nd', 3: 'rd'}.get(values, 'th') }" if kept == 1 else f"{kept} of {values}"
+    ending = {2: "nd", 3: "rd", 32: "nd"}.get(values, "th")
+    return f"every {values}{ending}" if kept == 1 else f"{kept} of {values}"

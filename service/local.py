@@ -60,6 +60,7 @@ from worker.spec.errors import Problem, SpecInvalid, rule_of
 from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import is_level
+from worker.sweep.plan import cell_seconds
 from worker.sweep.specification import is_open
 from worker.work import compile_for, is_compiled
 
@@ -319,6 +320,7 @@ class _Runner:
         self._manager, self._ledger, self._executor = manager, ledger, executor
         self.seconds, self.is_done, self._progress = manager.seconds, manager.is_done, progress
         self._last: Computed | None = None
+        self._took = 0.0  # seconds, of the last level
 
     def done(self, spec: Any, deadline: float = math.inf) -> Computed:
         """Compute a study; its done job. Raises as `_wait`."""
@@ -337,21 +339,26 @@ class _Runner:
         return self._last._replace(audit=answer.audit)
 
     def compute(self, spec: Any, seconds: float) -> bool:
+        now = time.monotonic()
         try:
-            self._last = self.done(spec, time.monotonic() + seconds)
+            self._last = self.done(spec, now + seconds)
         except (TimeoutError, ServiceError) as error:
             if self._last is None and (fault := self._manager.fault()):
                 raise RunFailed(fault) from error
             if self._last is None and not isinstance(error, TimeoutError):
                 raise
             return False
+        self._took = time.monotonic() - now
         return True
 
     def audit(self, spec: Any, seconds: float) -> str | None:
         assert self._last is not None
         deadline = time.monotonic() + seconds
         study = stored(self._last.record, self._last.job)
-        query = audit.affordable(study.spec, seconds * self._executor.workers())
+        workers = self._executor.workers()
+        table = math.prod(study.spec.shape) * cell_seconds(study.spec) / workers
+        slower = max(self._took / max(table, 1.0), 1.0)  # as a machine is that computes other things, too
+        query = audit.affordable(study.spec, seconds * workers / slower)
         # Compiling cannot be interrupted.
         if query is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
             return None

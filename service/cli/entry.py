@@ -43,7 +43,7 @@ def main() -> None:
         # The interpreter would wait for threads at its end, and free compiled code.
         if isinstance(ending := signal.getsignal(signal.SIGTERM), partial):
             ending()
-        if code == 128 + signal.SIGINT:
+        if isinstance(code, int):
             _end_now(code)
 
 

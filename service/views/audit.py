@@ -335,20 +335,21 @@ def _sentence(
     """The audit in words; deviations: of COVERAGES for each of `answers`, (answers, coverages)."""
     sentences = []
     for (against, questions), deviation in zip(answers.items(), deviations, strict=True):
-        mode, flights = questions["mode"], questions["flights"]
+        mode, flights, others = (questions[name] for name in ("mode", "flights", "distribution"))
         begins, drawn = ("numerics: " if against == "numerics" else "contact: "), "drawn"
         if against == "numerics" and certified:
             begins += f"{100.0 * certified:.3g} % of the cells are certified, "
             drawn = "others drawn"
         sentences.append(
             f"{begins}{_between(mode)} of the cells have another outcome or mode ({mode.changed} of "
-            f"{mode.sampled} {drawn}), {_between(flights)} flights that deviate by more than "
-            f"{tolerance:g} rad"
+            f"{mode.sampled} {drawn}), {_between(flights)} flights that repeat and deviate by more than "
+            f"{tolerance:g} rad, {_between(others)} others whose distribution does"
         )
         finite = deviation[np.isfinite(deviation)]
         if finite.any():  # else no cell that repeats, or only such at rest
             share, most = COVERAGES[len(finite) - 1], finite[-1]
-            sentences[-1] += f", {100.0 * share:g} % of the cells by at most {1.05 * most:.2g}"  # rounded up
+            rounded_up = f"{1.05 * most:.2g}"
+            sentences[-1] += f", {100.0 * share:g} % of the cells, if they repeat, by at most {rounded_up}"
     followed = answers["numerics"]["integrator"]
     if followed.sampled:
         sentences.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")

@@ -66,7 +66,9 @@ def test_a_budget_is_used():
         cell, guess, budget = np.exp(rng.uniform(*np.log([[1e-4, 0.3, 20.0], [1e-2, 3.0, 900.0]])))
         began = rng.choice([0.0, 4.0])
         runner = Simulated(cell, rng.uniform(0.0, 0.5), guess)
-        levels = within(SPEC, budget, runner, clock=runner.clock, began=-began).levels
+        answer = within(SPEC, budget, runner, clock=runner.clock, began=-began)
+        assert answer.audit == "audited"
+        levels = answer.levels
         whole = levels[-1].steps == WHOLE
         used.append(1.0 if whole else (began + sum(level.seconds for level in levels)) / budget)
     assert np.mean(np.array(used) > 0.6) > 0.95
