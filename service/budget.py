@@ -134,7 +134,7 @@ def within(
         enough = 2.0 * max(whole_budget, took, LEAST, runner.seconds(part))
         raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
     left = budget - (clock() - began)
-    ending = f"no audit: less than {LEAST_AUDIT:g} s are left"
+    ending = f"no audit: less than {LEAST_AUDIT:g} s is left"
     if left >= LEAST_AUDIT:
         show("audit of the last level", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
