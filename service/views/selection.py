@@ -148,7 +148,8 @@ def nearest_values(spec: Specification, query: Any, axes: Iterable[str]) -> dict
 def fixed_axes(spec: SweepSpec, query: Any) -> dict[str, GridValue]:
     """The grid values of all axes but `query.along`. Raises InvalidRequest, also for a value of that axis."""
     if getattr(query, query.along) is not None:
-        raise InvalidRequest.of(query.along, "is the axis that varies: leave it out, or name another with along")
+        rule = "is the axis that varies: leave it out, or name another with along"
+        raise InvalidRequest.of(query.along, rule)
     return nearest_values(spec, query, (axis for axis in reversed(AXES) if axis != query.along))
 
 
