@@ -77,7 +77,7 @@ def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps |
 
 
 def coarsest(spec: SweepSpec, within: Steps | None = None) -> Steps:
-    """The level with the fewest cells. within: steps of a smaller level that it must contain, if any is."""
+    """The level with the fewest cells. within: steps, not WHOLE, of a level that it must contain."""
     choices, count = _levels(spec, within)
     larger = count > (0 if within is None else cells(spec, within))
     fewest = np.min(count, where=larger, initial=np.max(count))
