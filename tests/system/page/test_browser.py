@@ -720,15 +720,15 @@ def _phase_after(page: Any, before: str | None) -> str:
     return str(page.locator(".player").get_attribute("data-phase"))
 
 
-#: Keeps the height in pixels of the longest piece of a curve that any phase portrait was drawn with.
-_HEAR_PIECES = """{
+#: Keeps the height in pixels of the longest line from point to point in a phase portrait.
+_KEEP_LONGEST = """{
     const drawing = CanvasRenderingContext2D.prototype;
     const { moveTo, lineTo } = drawing;
     let last;
     window.longest = 0;
     drawing.moveTo = function (x, y) { last = y; moveTo.call(this, x, y); };
     drawing.lineTo = function (x, y) {
-        if (this.lineWidth === 1.4 && this.canvas.closest(".portraits > :last-child"))
+        if (this.canvas.closest(".portraits > :last-child"))
             window.longest = Math.max(window.longest, Math.abs(y - last));
         last = y;
         lineTo.call(this, x, y);
@@ -743,7 +743,7 @@ def test_a_phase_portrait_is_interrupted_where_the_spring_meets_the_plate(browse
     motion = httpx2.get(address + path, timeout=DEADLINE)
     velocity = motion.json()["data_vars"]["velocity"]["data"]
     with opened(browser, "about:blank", reduced_motion="reduce") as page:
-        page.add_init_script(_HEAR_PIECES)
+        page.add_init_script(_KEEP_LONGEST)
         page.goto(view(address, job, cell="2.5,0.6,0.1,rest"))
         page.locator(".trajectory .readout", has_text="complete flights").wait_for()
         wait_for(lambda: page.evaluate("longest") > 0)
