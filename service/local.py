@@ -66,6 +66,8 @@ from worker.work import compile_for, is_compiled
 
 #: Seconds between two checks of the job's progress.
 LOOK_SECONDS: Final = 0.05
+#: Seconds of a level beside those of its cells, at most, where nothing else is computed.
+BEGINNING_SECONDS: Final = 0.3
 #: Seconds that an interrupted run waits for its chunks to stop.
 CANCEL_SECONDS: Final = 0.8
 
@@ -357,7 +359,8 @@ class _Runner:
         study = stored(self._last.record, self._last.job)
         workers = self._executor.workers()
         table = math.prod(study.spec.shape) * cell_seconds(study.spec) / workers
-        slower = max(self._took / max(table, 1.0), 1.0)  # as a machine is that computes other things, too
+        # as a machine is that computes other things, too
+        slower = max(self._took / (table + BEGINNING_SECONDS), 1.0)
         query = audit.affordable(study.spec, seconds * workers / slower)
         # Compiling cannot be interrupted.
         if query is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):

@@ -92,6 +92,8 @@ def command(name: str) -> click.Command:
     decorated = query_options(*reversed(kinds), name=name)(options.format_option(*every_format)(decorated))
     if ResultMethods in kinds:
         metavar, required = ("ID", True) if len(kinds) == 1 else ("[ID]", False)
+        if "other" in _parameters(ResultMethods, name):
+            metavar += " --other ID"  # a second ID is an error, which shows this
         argument = click.argument(
             "job_id", metavar=metavar, required=required, shell_complete=options.complete_id
         )

@@ -119,7 +119,7 @@ def check(
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     if format == "html" and not isinstance(spec, SweepSpec):
-        rule = f"has no page, which shows a sweep: the protocol of this job is {spec.protocol.kind}"
+        rule = f"is of kind {spec.protocol.kind}: only a sweep has a page to share"
         raise InvalidRequest.of("job_id", rule)
     if layout == "flights" and format != "parquet":
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx2
+import numpy as np
 import pytest
 from browser import (
     DROP,
@@ -717,6 +718,39 @@ def _phase_after(page: Any, before: str | None) -> str:
         arg=before,
     )
     return str(page.locator(".player").get_attribute("data-phase"))
+
+
+#: Keeps the height in pixels of the longest line from point to point in a phase portrait.
+_KEEP_LONGEST = """{
+    const drawing = CanvasRenderingContext2D.prototype;
+    const { moveTo, lineTo } = drawing;
+    let last;
+    window.longest = 0;
+    drawing.moveTo = function (x, y) { last = y; moveTo.call(this, x, y); };
+    drawing.lineTo = function (x, y) {
+        if (this.canvas.closest(".portraits > :last-child"))
+            window.longest = Math.max(window.longest, Math.abs(y - last));
+        last = y;
+        lineTo.call(this, x, y);
+    };
+}"""
+
+
+def test_a_phase_portrait_is_interrupted_where_the_spring_meets_the_plate(browser: Any, address: str):
+    """Between two samples: the contacts of a restitution take no time."""
+    job = done(address, spec_of([2.0, 2.5], 0.6, 0.1, model={"kind": "rigid", "restitution": 0.8}))
+    path = f"/v1/jobs/{job}/trajectory?gamma=2.5&periods=4&samples=240"
+    motion = httpx2.get(address + path, timeout=DEADLINE)
+    velocity = motion.json()["data_vars"]["velocity"]["data"]
+    with opened(browser, "about:blank", reduced_motion="reduce") as page:
+        page.add_init_script(_KEEP_LONGEST)
+        page.goto(view(address, job, cell="2.5,0.6,0.1,rest"))
+        page.locator(".trajectory .readout", has_text="complete flights").wait_for()
+        wait_for(lambda: page.evaluate("longest") > 0)
+        height = page.locator(".portraits canvas").last.bounding_box()["height"]
+        longest = page.evaluate("longest")
+    assert max(abs(np.diff(velocity))) > 0.5 * np.ptp(velocity)
+    assert longest < 0.1 * height
 
 
 def test_a_variable_added_to_the_schema_is_in_the_details_of_a_cell(

@@ -60,7 +60,8 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         wait_shown(page, xi=0.05)
         assert said.is_hidden()
         page.evaluate(DROP, ["thresholds.csv", "omega,gamma\n0.6,0.7\n"])
-        page.locator(".measured", has_text="thresholds.csv: 1 of 1 point, median residual 0.").wait_for()
+        text = "thresholds.csv: 1 of 1 point where computed ones are shown, median residual 0."
+        page.locator(".measured", has_text=text).wait_for()
         screenshot(page, "measured-thresholds", whole=False)
         with page.expect_download() as download:
             page.get_by_role("button", name="Download a page to share").click()

@@ -203,15 +203,14 @@ async function requestMotion(path, options) {
   const ofCycle = ["bounces", "periods", "flight_time", "stable", "multipliers"];
   return {
     ...attrs, ...named(["plate", "z1", "z2", "velocity", "in_flight"], list), ...named(AXES, (name) => variables[name].data),
-    phase: list("phase").map((value, i, [first]) => value - first), flights: list("flight_time"),
+    ...named(["phase", "takeoff"], (name) => list(name).map((value) => value - variables.phase.data[0])), flights: list("flight_time"),
     cycle: variables.cycle_multipliers && named(ofCycle, (name) => variables[`cycle_${name}`].data),
   };
 }
 
-function describeMotion(trajectory, start) {
-  const { cycle, complete } = trajectory;
+function describeMotion({ cycle, complete, ...motion }, start) {
   const on = Math.abs(cycle?.flight_time - start?.flight_time) > SAME_CYCLE ? "Not on the cycle pressed, but on a" : "On the";
-  return `${cycle ? `${on} ${cycleText(cycle)}. ` : ""}${flightsText(trajectory)}${complete ? "" : " The computation stopped before the end."}`;
+  return `${cycle ? `${on} ${cycleText(cycle)}. ` : ""}${flightsText(motion)}${complete ? "" : " The computation stopped before the end."}`;
 }
 
 function flightsText({ phase, flights, in_flight: flies }) {

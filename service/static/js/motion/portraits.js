@@ -62,13 +62,14 @@ function returnMap(flights) {
 }
 
 /** The elongation of the spring and its velocity, interrupted where an impact changes it, and once per plate period a dot. */
-function phasePortrait({ model, phase, z1, z2, velocity, in_flight: flies, rest_length: rest }) {
+function phasePortrait({ model, phase, z1, z2, velocity, in_flight: flies, takeoff, flights, rest_length: rest }) {
   const points = model === "ball" ? [] : phase.map((_, i) => [z1[i] - z2[i] - rest, velocity[i]]);
   const isKnown = (point) => point.every(Number.isFinite);
   const known = points.filter(isKnown);
-  const line = points.flatMap((point, i) => (flies[i - 1] && !flies[i] ? [null, point] : [point])).map((point) => point && (isKnown(point) ? point : null));
-  const perPeriod = Math.round(TWO_PI / (phase[1] - phase[0]));
-  const section = points.filter((point, i) => isKnown(point) && i % perPeriod === 0);
+  const step = phase[1] - phase[0];
+  const met = new Set(takeoff.flatMap((time, i) => [time, time + flights[i]]).map((time) => Math.ceil(time / step))); // contacts between samples, too
+  const line = points.flatMap((point, i) => (flies[i - 1] && (!flies[i] || met.has(i)) ? [null, point] : [point])).map((point) => point && (isKnown(point) ? point : null));
+  const section = points.filter((point, i) => isKnown(point) && i % Math.round(TWO_PI / step) === 0);
   const range = (values) => (values.length ? widened(Math.min(...values), Math.max(...values)) : [-1, 1]);
   const [[x0, x1], [y0, y1]] = [range(known.map(([x]) => x)), range(known.map(([, y]) => y))];
   return {

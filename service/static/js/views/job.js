@@ -65,7 +65,7 @@ export class JobView {
     if (!this.panel.isConnected) return location.reload(); // "No such sweep" took its place, and there is one again
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
-    if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep is ${job.state}.`);
+    if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep ${job.state === "failed" ? "has" : "is"} ${job.state}.`);
     const isSame = JSON.stringify(job) === JSON.stringify(this.job);
     this.job = Object.assign(this.job ?? {}, job); // the views have it too
     if (!isSame || redraw || this.hasFailed) this.#describe(); // else the problem of an action stays

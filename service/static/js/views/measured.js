@@ -87,7 +87,7 @@ export class MeasuredPoints {
     const { name, rows } = kept.get(this.key);
     const others = rows.length - points.length;
     const elsewhere = others ? `; ${count(others)} of another ${this.#fixed.map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
-    this.text.textContent = `Measured, ${name}: ${distances.length} of ${plural(points.length, "point")}${residual}${elsewhere} ·`;
+    this.text.textContent = `Measured, ${name}: ${distances.length} of ${plural(points.length, "point")} where computed ones are shown${residual}${elsewhere} ·`;
   }
 
   draw(ctx, box) {
