@@ -9,10 +9,11 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any, Final
 
 from service.budget import check, within
-from service.errors import Busy, RunFailed, ServiceError
+from service.errors import Busy, IllegalTransition, RunFailed, ServiceError, UnknownJob
 from service.jobs.manager import JobManager, Submission
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
@@ -151,7 +152,8 @@ class Budget:
             self.first.set_result(first)
         record = self._ended(job, deadline)
         if record is None and self._budgets.may_cancel(job.id) and not self._budgets.stopping.is_set():
-            self._budgets.manager.cancel(job.id)
+            with suppress(IllegalTransition, UnknownJob):  # it has just ended
+                self._budgets.manager.cancel(job.id)
         self.computing = None
         if record is not None and record.state is JobState.DONE:
             self.answer = job.id
