@@ -63,8 +63,9 @@ class Budgets:
                 known = next((old.steps for old in same if old.answer), None)
                 budget = Budget(self, spec, seconds, owner, known)
                 over = [budget for budget in self._budgets if budget.over]
-                self._budgets = [budget, *going, *over][:KEPT]
+                # without a thread it would count as one that goes on
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
+                self._budgets = [budget, *going, *over][:KEPT]
         job, accepted = budget.first.result()
         return Submission(job, accepted and joined is None)
 
