@@ -92,6 +92,7 @@ class Processes:
         self._may_start = count
         self._idle: list[tuple[float, _Process]] = []  # idle since, the latest last
         self._started: set[_Process] = set()
+        self._look: threading.Timer | None = None
         self._closed = False
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
@@ -144,19 +145,25 @@ class Processes:
             if process is not None and held <= self._most_kept and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
-                if len(self._idle) > 1:
-                    timer = threading.Timer(self._idle_seconds, self._end_idle)
-                    timer.daemon = True
-                    timer.start()
+                self._look_later()
                 return
         self._end(process)
+
+    def _look_later(self) -> None:
+        """Look again when the next process has been idle for long; one timer at a time."""
+        if self._look is None and len(self._idle) > 1:
+            due = self._idle[0][0] + self._idle_seconds
+            self._look = threading.Timer(max(due - time.monotonic(), 0.0), self._end_idle)
+            self._look.daemon = True
+            self._look.start()
 
     def _end_idle(self) -> None:
         """End the processes that have been idle for long, but not the one that was busy last."""
         with self._changed:
-            until = time.monotonic() - self._idle_seconds
+            self._look, until = None, time.monotonic() - self._idle_seconds
             long = [process for since, process in self._idle[:-1] if since <= until]
             self._idle = [(since, process) for since, process in self._idle if process not in long]
+            self._look_later()
         for process in long:
             self._end(process)
 

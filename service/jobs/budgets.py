@@ -9,10 +9,11 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from typing import Any, Final
 
 from service.budget import check, within
-from service.errors import Busy, RunFailed, ServiceError
+from service.errors import Busy, IllegalTransition, RunFailed, ServiceError, UnknownJob
 from service.jobs.manager import JobManager, Submission
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
@@ -62,8 +63,9 @@ class Budgets:
                 known = next((old.steps for old in same if old.answer), None)
                 budget = Budget(self, spec, seconds, owner, known)
                 over = [budget for budget in self._budgets if budget.over]
-                self._budgets = [budget, *going, *over][:KEPT]
+                # without a thread it would count as one that goes on
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
+                self._budgets = [budget, *going, *over][:KEPT]
         job, accepted = budget.first.result()
         return Submission(job, accepted and joined is None)
 
@@ -151,7 +153,8 @@ class Budget:
             self.first.set_result(first)
         record = self._ended(job, deadline)
         if record is None and self._budgets.may_cancel(job.id) and not self._budgets.stopping.is_set():
-            self._budgets.manager.cancel(job.id)
+            with suppress(IllegalTransition, UnknownJob):  # it has just ended
+                self._budgets.manager.cancel(job.id)
         self.computing = None
         if record is not None and record.state is JobState.DONE:
             self.answer = job.id

@@ -16,7 +16,10 @@ contact are also followed from their last states by `stepped`, which uses neithe
 and writes a line after each.
 """
 
+import os
 import sys
+import threading
+import time
 from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -397,6 +400,13 @@ if __name__ == "__main__":
     from worker.kernel_cache import use_cache
     from worker.work import compile_for as compile_kernels_for
 
+    def end_with(parent: int) -> None:
+        """End this process soon after its parent, which may be killed."""
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=end_with, args=(os.getppid(),), daemon=True).start()
     use_cache()
     sweep = SweepSpec.from_json(sys.stdin.read())
     for compile_all in (compile_kernels_for, compile_for):

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -90,6 +91,17 @@ def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
         child = psutil.Process(processes.run(os.getpid))
         assert child.pid != first
         assert not psutil.pid_exists(first)
+
+
+def test_idle_processes_end_by_one_thread_for_all_answers():
+    with closing(Processes(2, idle_seconds=2.0)) as processes, ThreadPoolExecutor(2) as pool:
+        list(pool.map(processes.run, [time.sleep] * 2, [0.5] * 2))
+        assert len(processes._started) == 2
+        before = threading.active_count()
+        for _ in range(50):
+            processes.run(abs, 1)
+        assert threading.active_count() <= before + 1
+        wait_for(lambda: len(processes._started) == 1)
 
 
 def test_they_end_when_closed_also_while_computing(tmp_path: Path):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import click
 import httpx2
+import psutil
 import pytest
 import xarray
 from click.testing import CliRunner, Result
@@ -325,3 +326,16 @@ def test_a_budget_ends_while_its_kernel_compiles(spec: Path, tmp_path: Path):
         env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}, text=True,
     )  # fmt: skip
     assert re.search("was over before the .* contact was compiled; 60s may work", ended.stderr)
+
+
+def test_no_compilation_outlives_a_budget_that_is_killed(spec: Path, tmp_path: Path):
+    cache = tmp_path / "cache"
+    running = subprocess.Popen(
+        [BOUNCE, "run", spec, "--budget", "5m", "-o", tmp_path / "a.zarr"], stderr=subprocess.DEVNULL,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+    )  # fmt: skip
+    wait_for(lambda: any(cache.rglob("*.lock")))
+    [compiler] = psutil.Process(running.pid).children()
+    running.kill()
+    running.wait()
+    compiler.wait(8.0)  # a compilation takes longer

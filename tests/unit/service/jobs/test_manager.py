@@ -20,6 +20,7 @@ from served import Running, running
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
+from service.jobs.budgets import Budget, Budgets
 from service.jobs.manager import JobManager
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord, JobState
@@ -45,6 +46,20 @@ def test_many_at_once_submitting_the_same_sweep_make_one_job(tmp_path: Path, inl
             thread.join()
         service.until(service.manager.submit(sweep()).job, JobState.DONE)
     assert sorted(answers) == [False] * 7 + [True]
+
+
+class Late(Budgets):
+    """Budgets whose thread is held up until the job that it would cancel has ended."""
+
+    def may_cancel(self, job_id: str) -> bool:
+        wait_for(lambda: self.manager.is_done(sweep()))
+        return super().may_cancel(job_id)
+
+
+def test_a_level_that_ends_with_its_time_does_not_end_the_budget(tmp_path: Path, inline: Inline):
+    with running(tmp_path, inline) as service:
+        budgets = Late(service.manager, service.ledger, lambda job, seconds: None)
+        assert not Budget(budgets, sweep(), 60.0, None, None).compute(sweep(), 0.0)
 
 
 def of_cells(cells: int, omega: float = 0.5) -> SweepSpec:
