@@ -362,7 +362,7 @@ class Supervisor:
             raise  # not the job's fault: the step is retried
         except Exception as error:
             self._ledger.check()  # a disk that cannot be written is not the job's fault either
-            log.exception("job %s cannot start", job_id)
+            log.error("job %s cannot start: %s", job_id, error, exc_info=not isinstance(error, OSError))
             self._fail(job, f"the job cannot start: {type(error).__name__}: {error}")
             return
         with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
