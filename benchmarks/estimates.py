@@ -119,7 +119,8 @@ def compare_left(only: str) -> None:
             if only in name and not isinstance(fields["gamma"], list):
                 client.submit(finer(fields, 1e3)).wait(progress=False)  # compiles
                 took, ratios = time_left(client, finer(fields, client.estimate(fields).core_seconds))
-                rows.append((name, short(took), short(min(ratios)), short(max(ratios))))
+                ends = (min(ratios), max(ratios)) if ratios else (float("nan"),) * 2  # too few chunks
+                rows.append((name, *map(short, (took, *ends))))
                 print(*rows[-1], sep=", ", flush=True)
     print(table(("study", "took, s", "least", "largest"), rows))
 

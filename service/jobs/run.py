@@ -25,6 +25,9 @@ MAX_TRACEBACK: Final = 8_000
 
 #: Number of the last steps of a ramp, in chunks, from which the time of the next ones is estimated.
 RECENT: Final = 3
+#: Most by which the table of costs may change that estimate, as long as few steps are done: most ramps begin
+#: or end at rest, which takes less.
+BY_TABLE: Final = 1.5
 
 #: Bucket limits for the seconds of chunks.
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
@@ -113,7 +116,9 @@ class ReadyQueue:
 class ChunkTimes:
     """The seconds that chunks of a run took, and an estimate of the seconds left."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, by_table: float) -> None:
+        """by_table: seconds of a chunk by the table of costs."""
+        self._ramp, self._by_table = plan.ramp is not None, by_table
         self._turns = plan.ramp is not None and len(plan.directions) == 2
         self._took = np.full((len(plan) // plan.lines, plan.lines), np.nan)  # s, of reported chunks
         self._began: float | None = None  # time of the first reports; before, kernels compile
@@ -130,7 +135,8 @@ class ChunkTimes:
         """Seconds that the chunks `to_come` (chunks,) will take at the present rate; None without a rate.
 
         A chunk on the way back of a ramp is expected to take as long as on the way there. Any other is
-        expected to take as long as the newest chunks: on a ramp those of the last RECENT steps, else all.
+        expected to take as long as the newest chunks: on a ramp those of the last RECENT steps, else all. On
+        a ramp the table of costs counts too, the less the more steps are done.
         """
         took = self._took
         if self._began is None:
@@ -141,6 +147,10 @@ class ChunkTimes:
         if counted < recent or counted == 0.0:  # one small chunk says little about those beside it
             return None
         expected = np.where(np.isnan(took), took[::-1], took) if self._turns else took.copy()
+        if self._ramp:
+            done = (newest + 1) / len(took)
+            mixed = done * recent + (1.0 - done) * self._by_table
+            recent = min(max(mixed, recent / BY_TABLE), recent * BY_TABLE)
         expected[np.isnan(expected)] = recent
         return float(expected.ravel()[to_come].sum() * (now - self._began) / counted)
 
@@ -172,7 +182,7 @@ class JobRun:
         self.queue = ReadyQueue(plan.lines, done)
         self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
         self._paused_seconds = self.unsaved_seconds = 0.0  # of paused slices; missing from the ledger
-        self._times = ChunkTimes(plan)
+        self._times = ChunkTimes(plan, prepared.cost.core_seconds / len(plan))
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged

@@ -5,15 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from service.jobs.run import ChunkTimes
+from service.jobs.run import BY_TABLE, RECENT, ChunkTimes
 from worker.study import ChunkReport, Plan
 
 LINE = Plan((1, 1, 40), (1, 1, 10), ("up", "down"), 2)
 
 
-def after(plan: Plan, took: list[float], now: float) -> float | None:
-    """The time left when the plan's first chunks took so many seconds, one after the other, until `now`."""
-    times, reports = ChunkTimes(plan), [ChunkReport(i, 10, each, each, ()) for i, each in enumerate(took)]
+def after(plan: Plan, took: list[float], now: float, by_table: float | None = None) -> float | None:
+    """The time left when the plan's first chunks took so many seconds, one after the other, until `now`.
+
+    by_table: of a chunk; by default as the last ones took.
+    """
+    times = ChunkTimes(plan, np.mean(took[-RECENT:]) if by_table is None else by_table)
+    reports = [ChunkReport(i, 10, each, each, ()) for i, each in enumerate(took)]
     times.note(reports[:1], took[0])
     times.note(reports[1:], now)
     to_come = np.arange(len(plan)) >= len(took)
@@ -36,6 +40,13 @@ def test_a_ramp_takes_as_long_on_its_way_back_as_there():
 def test_the_newest_steps_of_a_ramp_tell_the_next_ones():
     one_way = Plan((1, 1, 60), (1, 1, 10), ("up",), 2)
     assert after(one_way, [9.0, 1.0, 2.0, 3.0], 15.0) == pytest.approx(4.0)
+
+
+def test_the_table_of_costs_counts_where_a_ramp_has_hardly_begun():
+    one_way = Plan((1, 1, 60), (1, 1, 10), ("up",), 2)
+    assert after(one_way, [3.0, 3.0], 6.0, by_table=3.6) == pytest.approx(4 * (3.0 * 2 / 6 + 3.6 * 4 / 6))
+    for wrong, limit in ((100.0, BY_TABLE), (0.01, 1.0 / BY_TABLE)):
+        assert after(one_way, [3.0, 3.0], 6.0, by_table=wrong) == pytest.approx(4 * 3.0 * limit)
 
 
 def test_without_a_ramp_all_chunks_tell_alike_and_workers_share_them():
