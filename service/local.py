@@ -474,6 +474,8 @@ def _compiled_within(
                 enough = max(2.0 * seconds, COMPILING_BUDGET)
                 rule = f"was over before the {CONTACT_MODELS[spec.model.kind].label} was compiled"
                 raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
+            if not audited:
+                process.kill()
             _compile(spec, False if asked.result() else progress)
             yield
         finally:

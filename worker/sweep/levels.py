@@ -17,8 +17,8 @@ from worker.sweep.specification import AXES, SweepSpec
 #: Steps that the first level may take along an axis, and that a level within no other may. They have many
 #: divisors, as a level within another takes an integer part of its step.
 STEPS: Final = (1, 2, 3, 4, 6, 12, 24, 48, 96)
-#: Integer steps apart, a level takes at most this part of the step of the level within: a step of 24 / 7 is
-#: seven of 24 values. With integer steps alone a level may have half of the cells that fit.
+#: A level divides the step of the one within it by up to this, or by more where that leaves an integer: a
+#: step of 24 / 7 is seven of 24 values. With integer steps alone a level may have half of the cells that fit.
 PARTS: Final = 24
 #: A step that is no integer counts as this much unevenness.
 UNEVEN: Final = 1.5
