@@ -143,7 +143,8 @@ def write_parquet(target: Any, batches: Iterator[Any], attributes: Mapping[Any, 
     first = next(batches)
     schema = first.schema.with_metadata({name: str(x) for name, x in attributes.items()})
     try:
-        with parquet.ParquetWriter(target, schema, compression="zstd") as file:
+        repeating = [x.name for x in schema if not pa.types.is_list(x.type)]  # hardly any flight repeats
+        with parquet.ParquetWriter(target, schema, compression="zstd", use_dictionary=repeating) as file:
             for group in _groups(chain([first], batches)):
                 file.write_table(pa.Table.from_batches(group).cast(schema), row_group_size=GROUP_ROWS)
     finally:

@@ -205,14 +205,17 @@ class _UnrefusedFile(io.FileIO):
 def _write_netcdf(export: Export, blocks: Iterable[_Block], path: Path) -> None:
     """NetCDF 4 with the dimensions, coordinates, arrays and attributes of the store."""
     import h5netcdf
+    import h5py
 
     with _UnrefusedFile(path, "w+") as target:
         try:
-            with h5netcdf.File(target, "w") as file:
-                _define(file, export)
+            with h5py.File(target, "w", track_order=True) as file:
+                with h5netcdf.File(file, "w") as described:
+                    _define(described, export)
+                datasets = {name: file[name] for name in file}  # h5netcdf takes longer to find and write one
                 for cells, arrays in blocks:
                     for name, values in arrays.items():
-                        file.variables[name][tuple(cells.values())] = values
+                        datasets[name][tuple(cells.values())] = values
                     if target.refused:
                         break
         except OSError:
