@@ -15,7 +15,7 @@ import numpy as np
 from kernel import interface
 from kernel.cell import PERIODIC, Progress, Window, changed, record, store_state
 from kernel.interface import Phase, State, phase_of, plate_phase
-from kernel.modes import Flights, slot
+from kernel.modes import Flights, move_flights, slot
 from kernel.numerics.elementary import TWO_PI
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.numerics.jit import allocating, inlined, jit, outlined
@@ -109,6 +109,16 @@ def begin_search(search: Search, k: int) -> None:
     """Begin a cell in lane k."""
     search.failed[k] = math.inf
     search.counts[k] = 0
+
+
+@jit
+def move_search(search: Search, k: int, other: int) -> None:
+    """Move the search of the cell in lane k to another lane."""
+    move_flights(_ring(search), k * SEARCHED, other * SEARCHED)
+    for i in range(LONGEST + 1):
+        search.failed[other, i] = search.failed[k, i]
+    for i in range(PERIODS + 1):
+        search.counts[other, i] = search.counts[k, i]
 
 
 @outlined

@@ -24,6 +24,7 @@ from kernel.certify import (
     begin_search,
     certified,
     has_candidate,
+    move_search,
 )
 from kernel.exponents import Variations
 from kernel.interface import (
@@ -41,11 +42,10 @@ from kernel.interface import (
 )
 from kernel.models import variations as _variations  # noqa: F401 - registers the models' variations
 from kernel.models.lanes import AT_ROOT, FALLBACK, K0, ROWS, SEARCHING, SHORT_FLIGHT, STATUS, TAU, index_of
-from kernel.modes import Flights
+from kernel.modes import Flights, move_flights
 from kernel.numerics.first_root import ROOT
 from kernel.numerics.jit import allocating, inlined, is_compiled, jit
 from kernel.params import (
-    FEW,
     LANES,
     STATE_FIELDS,
     KernelInputError,
@@ -87,8 +87,8 @@ def _allocate_lanes(lanes: int) -> Lanes:
 
 @jit
 def lanes_used(lines: int) -> int:
-    """Number of lanes for a batch of lines: one by one, one vector (half of all), or all."""
-    if lines <= FEW:
+    """Number of lanes for a batch of lines: one alone, one vector (half of all), or all."""
+    if lines <= 1:
         return lines
     return LANES // 2 if lines <= LANES // 2 else LANES
 
@@ -178,6 +178,34 @@ def _after_window(
 
 
 @allocating
+def _gathered(
+    springs: Any, runs: Any, window: Window, flights: Flights, lanes: Lanes, table: Any,
+    search: Search | None, used: int,
+) -> int:  # fmt: skip
+    """Move the cells under way into the first lanes, when no line is left to begin: how many to advance."""
+    index = lanes.index
+    count = 0
+    for k in range(used):
+        count += index[k] >= 0
+    most, k = min(used, lanes_used(count)), 0
+    for last in range(most, used):
+        if index[last] >= 0:
+            while index[k] >= 0:
+                k += 1
+            for row in range(ROWS):
+                table[row * LANES + k] = table[row * LANES + last]
+            move_flights(flights, last * flights.size, k * flights.size)
+            if search is not None and window.certify:
+                move_search(search, last, k)
+            springs[k], runs[k] = springs[last], runs[last]
+            lanes.followed[k] = lanes.followed[last]
+            for field in range(RUN_FIELDS):
+                lanes.ends[k, field] = lanes.ends[last, field]
+            index[k], index[last] = index[last], -1
+    return most
+
+
+@allocating
 def _walk(
     plate: Any, gamma: Any, omega: Any, xi: Any, length: int, states: Any, window: Window, line: Line,
     flights: Flights, lanes: Lanes, table: Any, variations: Variations | None, search: Search | None,
@@ -203,6 +231,7 @@ def _walk(
     state = np.zeros(len(STATE_FIELDS))
     lines = len(gamma) // length
     used = 1 if table is None else lanes_used(lines)
+    idle = counts[0] == lines  # whether a lane has no line left to begin
     while counts[1] < len(gamma) and steps > 0:
         for lane in range(used):
             k = index_of(lane)
@@ -245,6 +274,7 @@ def _walk(
                     if i % length == 0:  # the next line
                         index[k] = -1
                         if counts[0] == lines:
+                            idle = True
                             break
                         i = counts[0] * length
                         counts[0] += 1
@@ -262,6 +292,9 @@ def _walk(
                     table[STATUS * LANES + k] = SEARCHING if loaded else FALLBACK
             runs[k] = run
         if table is not None and steps > 0:
+            if idle:
+                used = _gathered(springs, runs, window, flights, lanes, table, search, used)
+                idle = False
             advance_lanes(plate, table, used)
             steps -= 1
     for k in range(len(index)):

@@ -56,6 +56,14 @@ def slot(flights: Flights, first: int, n: int) -> int:
 
 
 @jit
+def move_flights(flights: Flights, first: int, other: int) -> None:
+    """Move the ring buffer that begins at `first` to `other`."""
+    for i in range(flights.size):
+        flights.time[other + i], flights.phase[other + i] = flights.time[first + i], flights.phase[first + i]
+        flights.period[other + i] = flights.period[first + i]
+
+
+@jit
 def find_cycle(flight_time: Any, takeoff_phase: Any, takeoff_period: Any) -> tuple[int, int]:
     """The shortest cycle that the last flights follow: (bounces, plate periods), or (0, 0).
 

@@ -21,8 +21,6 @@ KERNEL_VERSION: Final = "10"
 #: Cells that `rigid` and `soft` compute side by side, in lanes: two vectors of eight doubles, so that the
 #: latency of one hides behind the other.
 LANES: Final = 16
-#: Up to this many lines are computed one by one, more in a vector.
-FEW: Final = 3
 
 #: Evaluations that a cell may use for each plate period, and those that are usual.
 BUDGET: Final = 20_000

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Final
 
-from kernel.params import FEW, LANES, periods_followed
+from kernel.params import LANES, periods_followed
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 from worker.study.layout import WHOLE_BYTES
@@ -124,7 +124,7 @@ def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]
     """Chunk sizes of at most `most` lines of a ramp that leave the fewest lanes idle."""
     (slow, height), (fast, width) = grid.items()
 
-    def lanes(size: Mapping[str, int]) -> float:
+    def lanes(size: Mapping[str, int]) -> int:
         rows, columns = ([(part, grid[axis] // part), (grid[axis] % part, 1)] for axis, part in size.items())
         return sum(n * m * _lanes(a * b) for (a, n), (b, m) in product(rows, columns))
 
@@ -135,10 +135,10 @@ def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]
     return min(sizes, key=lanes)
 
 
-def _lanes(lines: int) -> float:
-    """Number of lanes that take as long as these lines; FEW lines, one by one, take as long as a vector."""
+def _lanes(lines: int) -> int:
+    """Number of lanes that take as long as these lines: whole vectors."""
     vector = LANES // 2
-    return lines * vector / FEW if lines <= FEW else vector * -(-lines // vector)
+    return vector * -(-lines // vector)
 
 
 def estimate(spec: SweepSpec, plan: Plan) -> Cost:
