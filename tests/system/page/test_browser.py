@@ -349,6 +349,7 @@ def test_the_page_of_a_sweep_shows_what_is_done_to_it_elsewhere(browser: Any, ad
         ):
             change()
             page.locator(f"#bar [data-state={state}]").wait_for()
+            page.locator("#status", has_text=f"The sweep is {state}.").wait_for(state="attached")
         shown.delete()
         page.get_by_role("heading", name="No such sweep").wait_for()
 

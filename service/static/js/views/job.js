@@ -13,7 +13,7 @@ import { buildFrame } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
-import { JobSummary, UNFINISHED, isGoing, settling, titleOf } from "./progress.js";
+import { JobSummary, isGoing, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { __proto__: null, diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -65,7 +65,7 @@ export class JobView {
     if (!this.panel.isConnected) return location.reload(); // "No such sweep" took its place, and there is one again
     const isFirst = !this.job;
     const hasChanged = !isFirst && (job.progress.cells_done !== this.job.progress.cells_done || job.state !== this.job.state);
-    if (hasChanged && !UNFINISHED.has(job.state)) announce(`The sweep ${job.state === "failed" ? "has" : "is"} ${job.state}.`);
+    if (!isFirst && job.state !== this.job.state) announce(`The sweep ${job.state === "failed" ? "has" : "is"} ${job.state}.`);
     const isSame = JSON.stringify(job) === JSON.stringify(this.job);
     this.job = Object.assign(this.job ?? {}, job); // the views have it too
     if (!isSame || redraw || this.hasFailed) this.#describe(); // else the problem of an action stays
