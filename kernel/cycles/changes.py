@@ -25,8 +25,9 @@ _ENDS: Final = 1e-9
 _STEPS: Final = (1e-4, 1e-3, 1e-5, 1e-6, 1e-7, 1e-8)
 #: The same for a cycle of twice the period.
 _DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
-#: Largest difference of an unknown between the change and the first cycle.
-_BESIDE: Final = 0.2
+#: Largest difference of an unknown between the change and the first cycle. Above the second it must shrink by
+#: the third factor with a tenth of the step: else the cycle lies elsewhere.
+_BESIDE, _NEXT, _SHRINKS = 0.2, 1e-3, 0.5
 #: Times before n touches zero at which a mass that sticks lets go, rad, tried in turn.
 _EARLIER: Final = (2.5e-3, 7.5e-4, 7.5e-3, 2.5e-4)
 #: Limit on the kernel's phases after it lets go.
@@ -112,13 +113,27 @@ def _first(edit: _Edit, goes_back: Callable[[Point], bool] = lambda _: False) ->
     along = along / math.sqrt(along @ along)
     for step in edit.steps:
         for way in (along, -along):
-            point = edit.cycles.newton(edit.x + step * way, way, float(way @ edit.x) + step)
-            if point is None or np.abs(point.x - edit.x).max() > _BESIDE:  # on another branch
+            point = _aside(edit, way, step)
+            if point is None or (away := _away(edit, point)) > _BESIDE:
                 continue
+            if away > _NEXT and step > 0.0:
+                nearer = _aside(edit, way, 0.1 * step)
+                if nearer is None or _away(edit, nearer) > _SHRINKS * away:
+                    continue
             point = admissible(point.towards(way))
             if point is not None and not goes_back(point):
                 return point
     return None
+
+
+def _aside(edit: _Edit, way: Floats, step: float) -> Point | None:
+    """The solution beyond a change, a step of it on."""
+    return edit.cycles.newton(edit.x + step * way, way, float(way @ edit.x) + step)
+
+
+def _away(edit: _Edit, point: Point) -> float:
+    """The largest difference of an unknown between a change and a solution."""
+    return float(np.abs(point.x - edit.x).max())
 
 
 def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:

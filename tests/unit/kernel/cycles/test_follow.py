@@ -167,6 +167,13 @@ def test_a_branch_does_not_lead_back_where_contacts_are_minute():
     assert parameters[-1] > 7.711416
 
 
+def test_a_branch_does_not_go_round_where_contacts_are_minute():
+    """Without one of its contacts, all of 3e-5 rad, a cycle far behind on the branch is the nearest."""
+    plate = soft(0.44, 1.16e-5, adhesive=False)
+    line = branches(plate, 0.2715, 0.0962, 1, span=(0.05, 3.77), points=260)[1]
+    assert np.diff(gammas(line, Kind.GRAZE_FLIGHT)).min() > 1e-9
+
+
 def test_a_graze_of_a_soft_contact_has_the_multipliers_of_its_neighbours():
     (line,) = branches(soft(), 0.924, 0.075, 1, span=(0.05, 4.0))
     (flip,) = (event.point for event in line.events if event.kind is FLIP)
