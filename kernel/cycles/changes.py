@@ -163,7 +163,7 @@ def _edits(broken: Broken, time: float, point: Point) -> Iterator[_Edit]:
             yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, "b", (times[i],))
         case "emerges":
             yield _replaced(Kind.GRAZE_FLIGHT, point, i, 1, "F", (times[i],))
-        case "vanishes" if letter == "S" and before == "s" and len(letters) > 2:
+        case "vanishes" if letter == "S" and before == "s":
             begun, i = (point, i) if i > 0 else (point.begun(len(letters) - 1), 1)
             yield _replaced(Kind.IMMEDIATE_TAKEOFF, begun, i - 1, 2, "z", (begun.times[i - 1],))
         case "vanishes" if letter in "scFbC" and inside and before != "z":

@@ -66,6 +66,16 @@ def test_a_torus_out_of_a_landing_that_takes_off_at_once():
     assert np.sort(np.abs(torus.multipliers))[-2:] == pytest.approx([1.0, 1.0], abs=1e-9)
 
 
+def test_a_cycle_that_flies_all_the_time():
+    """Its contact vanishes; beyond, it lands and takes off at once, as for 5,000 simulated periods."""
+    (line,) = branches(rigid(0.0), 2.0, 0.1, 1, span=(2.0, 8.5), points=400)
+    (change,) = gammas(line.events, Kind.IMMEDIATE_TAKEOFF)
+    assert change == pytest.approx(7.9766662, abs=1e-6)
+    beyond = [point for point in line.points if point.parameter > change]
+    assert beyond[-1].parameter > 8.5
+    assert all(point.stable and point.flights == pytest.approx([2.0 * np.pi]) for point in beyond)
+
+
 def test_a_landing_that_takes_off_at_once():
     """The (2,2) with a "z" that (1,2) becomes at Omega = 1.26 where it lands with n = 0, and its fold."""
     expected = REFERENCE["immediate_takeoff"]
