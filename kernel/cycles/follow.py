@@ -61,7 +61,7 @@ _REST, _NOTHING = 1e-2, 1e-4
 #: Defaults: points of a branch each way, signatures on it, and range of the parameter.
 POINTS: Final = 360
 SIGNATURES: Final = 40
-RANGE: Final = (0.05, 8.0)
+RANGE: Final = (1e-6, 8.0)
 
 
 class End(StrEnum):

@@ -11,7 +11,7 @@ from contacts import attracting, rigid, soft
 from kernel.cycles.any_contact import both_ways, branches, branches_at, repeats, up_to_shorter
 from kernel.cycles.changes import doubled
 from kernel.cycles.events import Kind
-from kernel.cycles.follow import LARGEST, End, follow
+from kernel.cycles.follow import LARGEST, RANGE, End, follow
 from kernel.params import Cell
 
 FOLD, FLIP, TORUS, STICK = Kind.FOLD, Kind.FLIP, Kind.NEIMARK_SACKER, End.STICK_VANISHES
@@ -113,6 +113,13 @@ def test_a_branch_far_above_where_the_search_begins(omega):
     (line,) = branches(soft(), omega, 0.05, 1)
     assert line.events[0].kind is End.REST
     assert line.points[-1].parameter > 8.0
+
+
+def test_a_branch_at_small_gamma():
+    """At resonance rest ends at Gamma = 4 xi/sqrt(1 + 16 xi**2), Eq. 25."""
+    (line,) = branches(rigid(0.0), 1.0, 0.01, 1, span=(RANGE[0], 1.0))
+    assert line.events[0].kind is End.REST
+    assert line.events[0].point.parameter == pytest.approx(0.04 / np.sqrt(1.0016), abs=1e-8)
 
 
 @pytest.mark.parametrize(("plate", "omega", "xi"), [(soft(), 1.0, 0.26), (soft(adhesive=False), 0.6, 0.05)])
