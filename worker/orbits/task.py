@@ -67,9 +67,12 @@ def _put_branch(branch: Branch, row: int, spec: OrbitsSpec, cell: dict[str, NDAr
 def _stored_rows(inside: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
     """Rows of a branch to store: indices (m,), m <= points, with -1 between its parts.
 
-    Includes the first and last row, and both ends of every part if they fit.
+    Includes the first and last row, and both ends of every part if they fit. Of more parts than fit with the
+    -1 after them, some are left out.
     """
-    order = np.array([i for part in stretches(inside) for i in (*range(*part), -1)][:-1], np.intp)
+    parts = np.array(stretches(inside), np.intp).reshape(-1, 2)
+    shown = np.linspace(0, len(parts) - 1, min(len(parts), (points + 1) // 2)).round().astype(np.intp)
+    order = np.array([i for part in parts[shown] for i in (*range(*part), -1)][:-1], np.intp)
     if len(order) <= points:
         return order
     gaps = np.flatnonzero(order < 0)

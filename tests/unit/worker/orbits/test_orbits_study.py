@@ -117,3 +117,17 @@ def test_thinning_keeps_gaps_and_ends(points: int):
     assert inside[rows].all()
     assert kept[gaps[0] - 1] < 12
     assert kept[gaps[0] + 1] > 16
+
+
+def test_a_branch_of_more_parts_than_points_shows_some_of_them(tmp_path: Path):
+    changes = {"omega": 0.04, "xi": 0.0, "modes": ["1-1"], "gamma_max": 1.0}
+    few, many = (
+        computed(str(tmp_path / f"{points}.zarr"), OrbitsSpec.parse(SPEC | changes | {"points": points}))
+        for points in (10, 1000)
+    )
+    shown, every = (cell.gamma.values[0, 0, 0] for cell in (few, many))
+    parts = np.count_nonzero(np.diff(np.isfinite(every).astype(int)) == 1)
+    assert parts > few.sizes["point"]
+    assert np.isfinite(shown).sum() >= 5
+    assert np.isin(shown[np.isfinite(shown)], every).all()
+    assert shown[0] == every[0]
