@@ -37,6 +37,7 @@ UNTIL: Final = 10
 
 
 Side = Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE]
+SideOfDrops = Annotated[int, Field(ge=1, le=MAX_DROPS), WHOLE]
 
 
 class Plane(Strict):
@@ -63,7 +64,7 @@ class Plane(Strict):
     @model_validator(mode="after")
     def _size(self) -> Self:
         if self.rows * self.columns > self.MAX_STARTS:
-            fitting = max(1, self.MAX_STARTS // self.columns)
+            fitting = self.MAX_STARTS // self.columns
             rule = f"must be at most {fitting} with {self.columns} columns, not {self.rows}"
             raise BrokenRuleError("rows", f"{rule}: a cell has at most {self.MAX_STARTS:,} starts")
         return self
@@ -100,8 +101,8 @@ class Multistability(Plane):
 
     kind: Literal["multistability"]
     plane: Literal["drop"] = "drop"
-    rows: Side = 4
-    columns: Side = 6
+    rows: SideOfDrops = 4
+    columns: SideOfDrops = 6
 
 
 class GridSpec(Specification):

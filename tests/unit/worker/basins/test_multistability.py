@@ -115,6 +115,7 @@ def test_lines_in_one_chunk_or_in_several_are_the_same_bytes(tmp_path: Path, who
     ("changes", "rule"),
     [
         ({"rows": 64, "columns": 32}, "protocol.rows: must be at most 32 with 32 columns"),
+        ({"rows": 1, "columns": 1025}, "protocol.columns: must be at most 1024, not 1025"),
         ({"plane": "contact"}, "protocol.plane: must be 'drop'"),
         ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
         ({"exponents": 1}, "exponents: is not a field here"),
