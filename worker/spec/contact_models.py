@@ -34,6 +34,7 @@ from worker.spec.errors import BrokenRuleError
 #: Range of contact depths d = delta_c/A that double precision can represent.
 MIN_PENETRATION: Final = 1e-12
 MAX_PENETRATION: Final = 1.0
+MAX_REST_LENGTH: Final = 1e12
 DEFAULT_PENETRATION: Final = 1e-3
 
 #: Lower bound on the restitution of a nonadhesive contact, whose damping grows without bound as e goes to 0,
@@ -144,7 +145,7 @@ class _SoftContact(ContactFields):
         Field(title="contact depth d", description=f"In plate amplitudes; left out: {DEFAULT_PENETRATION}."),
     ] = None
     rest_length: Annotated[
-        Annotated[float, Field(gt=0.0, le=1e12), NUMBER] | None,
+        Annotated[float, Field(gt=0.0, le=MAX_REST_LENGTH), NUMBER] | None,
         Field(title="rest length Λ", description="Lω₀²/g, which sets the depth instead."),
     ] = None
     adhesive: Annotated[bool, Field(description="Whether the contact may pull.")] = True

@@ -19,6 +19,7 @@ from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Axis, within
 from worker.spec.contact_models import (
     CONTACT_MODELS,
     MAX_PENETRATION,
+    MAX_REST_LENGTH,
     MIN_PENETRATION,
     Auto,
     Contact,
@@ -228,7 +229,9 @@ class SweepSpec(Specification):
         if not low <= rest_length <= high:
             depths = f"gives contacts {extremes[0]:.3g} to {extremes[1]:.3g} plate amplitudes deep"
             allowed = f"allowed are {MIN_PENETRATION:g} to {MAX_PENETRATION:g}"
-            remedy = f"{low:.3g} to {high:.3g} works" if low <= high else "narrow gamma or omega"
+            high = min(high, MAX_REST_LENGTH)
+            rounded = f"{1.001 * low:.4g} to {0.999 * high:.4g} works"  # inside the limits
+            remedy = rounded if low <= high else "narrow gamma or omega"
             rule = f"{depths}, {allowed}; {remedy}"
             raise BrokenRuleError("model.rest_length", rule)
 

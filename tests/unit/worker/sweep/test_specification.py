@@ -178,6 +178,17 @@ def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, 
     assert "unstable" not in refusal(fewest)  # though it may take too many of them
 
 
+@for_each(
+    ("grid", "refused"),
+    [({"gamma": [3.6, 4.1], "omega": [0.1, 7.0]}, 1e12), ({"gamma": [1.0, 3.0], "omega": 0.6}, 1e-9),
+     ({"gamma": 1.0, "omega": 1e-5}, 1.0)],
+)  # fmt: skip
+def test_both_rest_lengths_that_a_refusal_names_work(grid, refused):
+    said = message(**grid, model={"rest_length": refused})
+    for end in re.findall(r"; (\S+) to (\S+) works$", said)[0]:
+        assert sweep(**grid, model={"rest_length": float(end)})
+
+
 @given(
     st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 300), st.sampled_from(["linear", "log"])
 )  # fmt: skip
