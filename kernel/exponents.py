@@ -171,12 +171,14 @@ def carry(cell: Any, before: Any, run: Any, p: Phase, window: Any, variations: V
         vectors[:] = 0.0
         if run.period >= run.settle:
             variations.sums[:] = -math.inf
-    if run.period < run.settle - ALIGN * window.observe:
+    early = math.ceil(run.settle - ALIGN * window.observe) - run.period  # plate periods to the beginning
+    if early > 0 and p.ending != HORIZON:
         return
     left = run.end - run.period  # plate periods to the run's end
     turns = left if p.ending == HORIZON else min(math.floor((run.phase + p.tau) * (1.0 / TWO_PI)), left)
-    done = 0.0
-    for turn in range(1, turns + 2):
+    first = max(early, 0)  # within a contact or flight that lasts to the run's end
+    done = TWO_PI * first - run.phase if first > 0 else 0.0
+    for turn in range(first + 1, turns + 2):
         end = TWO_PI * turn - run.phase if turn <= turns else p.tau
         if end > done:
             if run.in_flight:

@@ -78,10 +78,11 @@ def test_soft_cycles_have_the_multipliers_of_an_independent_program(cell):
     assert line.lyapunov[0] == pytest.approx(expected, abs=1e-6)
 
 
-def test_at_rest_they_are_those_of_the_stuck_spring():
+@pytest.mark.parametrize("settle", [10, 2000])  # variations begin with the cell, or later, within the contact
+def test_at_rest_they_are_those_of_the_stuck_spring(settle: int):
     """Underdamped, both exponents are -2 pi xi/Omega; overdamped, 2 pi times the two roots."""
     gamma, omega, xi = 0.1, np.array([0.5, 0.5]), np.array([0.26, 1.1])
-    line = run(gamma, omega, xi, settle=10, observe=1000, exponents=3)
+    line = run(gamma, omega, xi, settle=settle, observe=1000, exponents=3)
     assert np.all(line.outcome == Outcome.AT_REST)
     assert line.lyapunov[0] == pytest.approx([-TWO_PI * 0.52, -TWO_PI * 0.52, -math.inf], abs=1e-6)
     root = math.sqrt(1.1**2 - 1.0)
