@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from kernel.params import STATE_FIELDS, Line, Outcome
 from worker.basins.plan import REPRESENTATIVES
 from worker.basins.specification import BasinSpec
+from worker.spec.contact_models import Contact
 
 _Floats = NDArray[np.float64]
 _Ints = NDArray[np.intp]
@@ -30,8 +31,9 @@ SAME_CYCLE: Final = 1e-4
 #: Starts per run, few enough to lose little and use little memory. A multiple of `kernel.params.LANES`.
 BLOCK: Final = 2048
 
-#: Flights of a window in which a cycle is sought: the kernel finds cycles of up to a third as many.
-CYCLE_FLIGHTS: Final = 256
+#: Flights of a window in which a cycle is sought: the kernel finds cycles of up to a third as many. Above
+#: ELASTIC chatter has more hops than that, and hides the flights that count.
+CYCLE_FLIGHTS, CHATTER_FLIGHTS, ELASTIC = 256, 4096, 0.9
 
 #: Flights of a start without a cycle that estimate its distribution.
 START_FLIGHTS: Final = 64
@@ -81,6 +83,12 @@ class Request(NamedTuple):
     keep: int
     exponents: int = 0
     certify: bool = False
+
+
+def sizes_of_runs(model: Contact) -> tuple[int, int]:
+    """Starts of a run on this contact, and flights kept of each: a product that is the same for all."""
+    keep = CHATTER_FLIGHTS if (getattr(model, "restitution", None) or 0.0) > ELASTIC else CYCLE_FLIGHTS
+    return BLOCK * CYCLE_FLIGHTS // keep, keep
 
 
 #: Answers a request with the arrays that a function returns for its record.
@@ -147,6 +155,7 @@ class _Search:
 
     def __init__(self, starts: _Floats, spec: BasinSpec, run: Run) -> None:
         self._spec, self._run = spec, run
+        self._block, self._keep = sizes_of_runs(spec.model)
         self._until = spec.until
         self._extends = spec.settle_until is None  # transient motion may once continue beyond `until`
         self._owner = np.full(len(starts), -1)  # index into _attractors
@@ -184,9 +193,9 @@ class _Search:
 
     def _advance(self, which: _Ints, states: _Floats, settle: int, observe: int) -> None:
         """Run starts on from `states` and record their ends."""
-        for first in range(0, len(which), BLOCK):
-            part = slice(first, first + BLOCK)
-            request = Request(states[part], settle, observe, CYCLE_FLIGHTS)
+        for first in range(0, len(which), self._block):
+            part = slice(first, first + self._block)
+            request = Request(states[part], settle, observe, self._keep)
             answer = self._run(request, partial(_reduced, micro_flight=self._spec.micro_flight))
             ends, rows = self._ends, which[part]
             for name in ("outcome", "bounces", "periods", "state", "cycle"):
@@ -215,7 +224,7 @@ class _Search:
         chosen = [_spread(group, CYCLE_REPRESENTATIVES) for group in groups]
         if not groups:
             return undecided[0]
-        line = self._run_on(np.concatenate(chosen), taken, observe, CYCLE_FLIGHTS)
+        line = self._run_on(np.concatenate(chosen), taken, observe, self._keep)
         first = 0
         for group, representatives in zip(groups, chosen, strict=True):
             reached = {self._cycle_of(line, i) for i in range(first, first + len(representatives))}
@@ -258,7 +267,7 @@ class _Search:
         if len(which) == 0:
             return 0.0
         representatives = _spread(which, REPRESENTATIVES)
-        line = self._run_on(representatives, taken, self._spec.observe, CYCLE_FLIGHTS)
+        line = self._run_on(representatives, taken, self._spec.observe, self._keep)
         left = int(np.isin(line.outcome, (Outcome.PERIODIC, Outcome.AT_REST)).sum())
         followed = max(self._until - taken, 2 * self._spec.observe)
         return left / (followed * (len(representatives) - 0.5 * left))
@@ -326,9 +335,9 @@ class _Search:
     def _last_flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         """Flights of one more window of starts with any outcome: times and phases."""
         parts = []
-        for first in range(0, len(which), BLOCK):
-            states = self._ends.state[which[first : first + BLOCK]]
-            request = Request(states, 0, self._spec.observe, CYCLE_FLIGHTS)
+        for first in range(0, len(which), self._block):
+            states = self._ends.state[which[first : first + self._block]]
+            request = Request(states, 0, self._spec.observe, self._keep)
             reduce = partial(_ends_of_flights, micro_flight=self._spec.micro_flight)
             parts.append(self._run(request, reduce))
         time, phase = (np.concatenate([part[name] for part in parts]) for name in ("time", "phase"))

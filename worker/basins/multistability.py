@@ -13,15 +13,12 @@ from numpy.typing import NDArray
 
 from kernel.cell import rescale
 from kernel.params import Line, Outcome
-from worker.basins.attractors import CYCLE_FLIGHTS, CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted
+from worker.basins.attractors import CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted, sizes_of_runs
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, sizes_of_attractors
 from worker.basins.specification import MAX_DROPS, MultistabilitySpec
 from worker.basins.starts import Steps, starts_of
 from worker.study.chunks import Chunk, ChunkReport
 from worker.sweep import AXES
-
-#: Starts per run, in whole cells, few enough to lose little and use little memory.
-BLOCK: Final = 2048
 
 #: Longest flights by which cycles of one mode are distinguished.
 CYCLE: Final = 32
@@ -140,7 +137,7 @@ class _Search:
         gammas = len(self._gamma)
         places = [(line, j) for line in range(len(self._omega)) for j in range(gammas)]
         drops = self._spec.protocol.rows * self._spec.protocol.columns
-        block = max(1, BLOCK // drops)
+        block = max(1, sizes_of_runs(self._spec.model)[0] // drops)
         steps = [partial(self._drop, places[i : i + block]) for i in range(0, len(places), block)]
         for _ in range(ROUNDS):
             steps += [partial(self._follow, "next_up", j, j + 1) for j in range(gammas - 1)]
@@ -157,8 +154,9 @@ class _Search:
         lines, js = np.array(places, np.intp).reshape(-1, 2).T
         cells = (self._gamma[js], self._omega[lines], self._xi[lines])
         window = {"settle": max(settle, spec.settle), "observe": spec.observe, "settle_until": spec.until}
+        _, keep = sizes_of_runs(spec.model)
         reduce = partial(_reduced, micro_flight=spec.micro_flight, keep=spec.keep)
-        answer = self._work.answer(spec, cells, reduce, states=states, keep=CYCLE_FLIGHTS, **window)
+        answer = self._work.answer(spec, cells, reduce, states=states, keep=keep, **window)
         columns = [x if x.ndim > 1 else x.tolist() for x in map(answer.__getitem__, Reached._fields)]
         return [Reached(*fields) for fields in zip(*columns, strict=True)]
 

@@ -14,7 +14,7 @@ from kernel.cycles.events import Kind, fold_events
 from kernel.params import Outcome
 from worker.basins.specification import MultistabilitySpec
 from worker.spec.errors import SpecError, SpecTooLarge
-from worker.studies import STUDIES
+from worker.studies import STUDIES, parse
 
 GOLDEN = json.loads((paths.GOLDEN / "multistability.json").read_text())
 
@@ -36,6 +36,16 @@ def test_shares_of_cells_with_several_attractors(tmp_path: Path, reference: dict
     rows = ["".join(map(str, row)) for row in data.attractor_count.values]
     assert rows == reference["counts"]
     assert float((data.fraction.sum("id") + data.undecided).max()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", ["basin", "multistability"])
+def test_chatter_hides_no_flight_of_a_cycle(tmp_path: Path, kind: str):
+    """Hundreds of hops follow each landing. The flights are those of 10,000 kept ones of each cycle."""
+    protocol, model = {"kind": kind, "rows": 3, "columns": 6}, {"kind": "rigid", "restitution": 0.99}
+    data = spec_of(1.0, 0.0792, 0.01, protocol=protocol, window=(300, 60), settle_until=1000, model=model)
+    cell = computed(str(tmp_path / "a.zarr"), parse(data)).squeeze()
+    assert cell.bounces.values[:4].tolist() == [8, 2, 3, 6]
+    assert cell.longest_flight.values[:4] == pytest.approx([0.526457, 12.39129, 0.354193, 14.83418], abs=1e-5)
 
 
 def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
