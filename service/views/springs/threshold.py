@@ -197,8 +197,10 @@ def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
         else:
             values = np.array([float(part) for part in text.split(",")])
     except ValueError:
-        raise InvalidRequest.of(name, "must be numbers, as 0.45,0.46, or start:stop:number") from None
-    if not (len(values) and (np.diff(values) > 0.0).all()):
+        values = np.empty(0)
+    if not (len(values) and np.isfinite(values).all()):
+        raise InvalidRequest.of(name, "must be numbers, as 0.45,0.46, or start:stop:number")
+    if not (np.diff(values) > 0.0).all():
         raise InvalidRequest.of(name, "must increase")
     return values
 
