@@ -342,6 +342,7 @@ def test_the_page_of_a_sweep_shows_what_is_done_to_it_elsewhere(browser: Any, ad
         Client(address) as client,
     ):
         shown = client.job(job)
+        page.locator("#bar [data-state=running]").wait_for()
         for change, state in (
             (shown.cancel, "cancelled"),
             (shown.resume, "running"),
