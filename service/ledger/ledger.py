@@ -79,10 +79,15 @@ class Ledger(AbstractContextManager["Ledger"]):
 
     @contextmanager
     def reading(self) -> Iterator[ReadTransaction]:
-        """Read the ledger; never waits for a writer. Raises LedgerUnavailable."""
+        """Read the ledger as it is at the first read; never waits for a writer. Raises LedgerUnavailable."""
         with self._read_lock, self._available():
             self._check_open()
-            yield ReadTransaction(self._reader)
+            self._reader.execute("BEGIN")
+            try:
+                yield ReadTransaction(self._reader)
+            finally:
+                if self._reader.in_transaction:  # some errors end it
+                    self._reader.execute("ROLLBACK")
 
     @contextmanager
     def writing(self) -> Iterator[WriteTransaction]:

@@ -38,6 +38,16 @@ def test_a_transaction_is_all_or_nothing(ledger: Ledger):
     assert current(ledger).chunks_done == 1
 
 
+def test_what_is_read_at_once_is_of_one_moment(ledger: Ledger):
+    job = accept(ledger)
+    with ledger.reading() as before:
+        assert before.done_chunks(job, 0, 9) == []
+        with ledger.writing() as writing:
+            writing.mark_done(job, reports(0, 1))
+        assert before.find(job.id) == job
+    assert current(ledger).chunks_done == 2
+
+
 def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):
     """Threads may outlive the service's end. SQLite removes the log at the close, which is no loss then."""
     with Ledger(tmp_path / "ledger.sqlite") as ledger:
