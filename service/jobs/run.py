@@ -28,6 +28,8 @@ RECENT: Final = 3
 #: Most by which the table of costs may change that estimate, as long as few steps are done: most ramps begin
 #: or end at rest, which takes less.
 BY_TABLE: Final = 1.5
+#: Chunks in a row up to which a run has the time left from the table of costs until it has a rate.
+FEW: Final = 2
 
 #: Bucket limits for the seconds of chunks.
 BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
@@ -182,7 +184,9 @@ class JobRun:
         self.queue = ReadyQueue(plan.lines, done)
         self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
         self._paused_seconds = self.unsaved_seconds = 0.0  # of paused slices; missing from the ledger
-        self._times = ChunkTimes(plan, prepared.cost.core_seconds / len(plan))
+        by_table = prepared.cost.core_seconds / len(plan)
+        self._times, self._by_table = ChunkTimes(plan, by_table), by_table
+        self._began, self._to_come = time.monotonic(), self.queue.remaining  # at the start
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
@@ -223,13 +227,21 @@ class JobRun:
         """Core-seconds of the remaining chunks."""
         return self.queue.remaining * self.chunk_seconds
 
-    def seconds_left(self) -> float | None:
-        """Estimated seconds until the job is done, with its unsaved reports; None without a rate."""
+    def seconds_left(self, workers: int) -> float | None:
+        """Estimated seconds until the job is done, with its unsaved reports.
+
+        Without a rate it is the rest of what the table of costs says, if few chunks follow each other on this
+        number of workers, else None.
+        """
         now = time.monotonic()
         self._times.note(self.unsaved_reports, now)
         to_come = ~self.queue.done
         to_come[[report.index for report in self.unsaved_reports]] = False
-        return self._times.left(to_come, now)
+        if (left := self._times.left(to_come, now)) is not None:
+            return left
+        in_a_row = -(-self._to_come // max(min(workers, self.prepared.plan.lines), 1))
+        left = in_a_row * self._by_table - (now - self._began)
+        return left if in_a_row <= FEW and left > 0.0 else None
 
     @property
     def at_once(self) -> int:

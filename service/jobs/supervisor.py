@@ -253,7 +253,7 @@ class Supervisor:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
             with self._ledger.writing() as ledger:
-                ledger.mark_done(run.job, run.unsaved_reports, run.seconds_left())
+                ledger.mark_done(run.job, run.unsaved_reports, run.seconds_left(self.cluster.workers))
                 ledger.note_paused(run.job, run.unsaved_seconds)
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
@@ -368,7 +368,7 @@ class Supervisor:
         with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
             current = ledger.unfinished_record(job)
             if current is not None:
-                ledger.run(current, time.time())
+                ledger.run(current, time.time(), run.seconds_left(self.cluster.workers))
         if current is not None:
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)

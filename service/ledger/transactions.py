@@ -216,12 +216,13 @@ class WriteTransaction(ReadTransaction):
         self._move(job, JobState.QUEUED, error=None, finished=None, cancel_requested=False, owner=owner)
         self._execute("DELETE FROM failures WHERE job = ?", job.seq)
 
-    def run(self, job: JobRecord, now: float) -> None:
-        """Start a job, or continue it after a restart of the service."""
+    def run(self, job: JobRecord, now: float, seconds_left: float | None = None) -> None:
+        """Start a job, or continue it after a restart of the service. seconds_left: until the job is done."""
         if job.state is not JobState.RUNNING:
             check_transition(job.state, JobState.RUNNING)
         runs, first = with_this_run(job.runs, now), job.started or now
-        self.update(job, state=JobState.RUNNING, started=first, progressed=None, seconds_left=None, runs=runs)
+        left = {"progressed": now, "seconds_left": seconds_left}
+        self.update(job, state=JobState.RUNNING, started=first, runs=runs, **left)
 
     def finish(self, job: JobRecord, state: JobState, now: float, error: str | None = None) -> None:
         """End a job as done, failed or cancelled."""

@@ -17,6 +17,7 @@ import psutil
 import pytest
 from scripted import DEADLINE, Held, Scripted, hanging, sweep, wait_for
 from served import Running, running
+from studies import spec_of
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
@@ -29,6 +30,7 @@ from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
 from worker.spec.errors import SpecTooLarge
+from worker.studies import parse, study_of
 from worker.study import Chunk, ChunkReport
 from worker.sweep import SweepSpec
 
@@ -344,6 +346,19 @@ def test_a_key_makes_a_repeated_request_one_request(tmp_path: Path):
         assert not service.manager.submit(sweep(), key="another").accepted  # it is queued
         service.manager.cancel(first.job.id)
         assert service.manager.submit(sweep(), key="another").accepted
+
+
+@pytest.mark.parametrize(("lines", "in_a_row"), [(1, 1), (2, 1), (4, 2), (5, None)])
+def test_the_table_of_costs_tells_the_time_left_of_few_chunks(
+    tmp_path: Path, lines: int, in_a_row: int | None
+):
+    gamma, omega = {"start": 1.5, "stop": 5.0, "num": 200}, np.linspace(0.5, 1.0, lines).tolist()
+    spec = parse(spec_of(gamma, omega, 0.26, protocol={"kind": "multistability"}))
+    line = study_of(spec).estimate(spec, plan := study_of(spec).plan(spec)).core_seconds / len(plan)
+    with running(tmp_path, Held(capacity=2)) as service:
+        job = service.until(service.submit(spec), JobState.RUNNING)
+        assert job.chunks_total == lines
+        assert job.seconds_left == (in_a_row and pytest.approx(in_a_row * line, abs=5.0))
 
 
 def test_a_job_is_resumed_by_whoever_asks_and_only_if_it_ended_undone(tmp_path: Path):
