@@ -14,6 +14,7 @@ from kernel.params import Cell
 from service.errors import InvalidRequest
 from service.pictures import IDEAL, draw_cycles
 from service.views import proofs
+from service.views.selection import check_order
 from service.views.springs.branches import (
     BALANCE,
     BRANCH,
@@ -203,6 +204,8 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
     exist, and above MAX_SECONDS.
     """
     lengths = [grid_length(*grid) + 2 * query.points * query.has_window for grid in _grids(query)]
+    check_order(query, *WINDOW[:2])
+    check_order(query, *WINDOW[2:])
     plate = query.contact()
     for name in ("energy", "prove", *WINDOW) if plate is not None else ():
         if (asked := getattr(query, name)) is not None and asked is not False:  # 0 is an end of a window

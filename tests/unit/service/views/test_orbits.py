@@ -132,9 +132,13 @@ def test_a_search_that_finds_nothing_leaves_the_fold_that_is_known():
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
     ({"model": "soft", "flight_start": 0.0}, "flight_start: is of the closed form"),
     ({"doubled": True}, "doubled: needs a model"),
+    ({"start": 2.0, "stop": 1.0}, "start: must not be above stop, which is 1"),
+    ({"flight_start": 2.0, "flight_stop": 1.0}, "flight_start: must not be above flight_stop"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
 ])  # fmt: skip
-def test_contacts_without_cycles_are_refused(client: TestClient, query: dict[str, Any], rule: str):
+def test_what_excludes_each_other_or_has_no_cycles_is_refused(
+    client: TestClient, query: dict[str, Any], rule: str
+):
     assert rule in refused(client, "/v1/orbits", 422, **SPRING, **query)
 
 
