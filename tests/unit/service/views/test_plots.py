@@ -112,6 +112,14 @@ def test_measured_flights_have_residuals_to_the_nearest(job: Job, ax: Axes, tmp_
     assert ax.child_axes[-1].get_title("right") == "3 of 4 points: median 0.02, largest 0.03"  # type: ignore[attr-defined]
 
 
+def test_the_axes_have_room_for_measured_flights_unless_a_window_is_asked_for(job: Job):
+    data = {"gamma": [1.0, 2.0], "flight_time": [50.0, 90.0]}  # the second is beyond the axis
+    ax = job.plot("diagram", omega=0.6, data=data, ax=Figure().subplots())
+    assert ax.get_ylim() == pytest.approx((0.0, 53.0))
+    ax = job.plot("diagram", omega=0.6, data=data, flight_stop=9.0, ax=Figure().subplots())
+    assert ax.get_ylim()[1] == 9.0
+
+
 def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
     at = float(job.threshold(progress=False).down.sel(omega=0.6))
     data = {"omega": [0.6, 0.6], "xi": [math.nan, 0.9], "gamma": [at + 0.01, at]}  # the other is elsewhere
