@@ -146,17 +146,23 @@ class BounceAccessor:
             raise BounceError("plot: is of a diagram, a map of modes, thresholds, branches, or a whole sweep")
         dims = set(dataset.outcome.dims)
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
-            pictures.draw_diagram(ax, dataset)
-            fixed = [axis for axis in pictures.AXES if axis != pictures.along_of(dataset)]
+            along = pictures.along_of(dataset)
+            values, longest = dataset[along].values, 0.0
+            if data is not None:
+                points = measured(data, along, "flight_time", selected, frequency)
+                shown = points.y[(points.x >= values[0]) & (points.x <= values[-1])]
+                longest = float(
+                    max(np.nanmax(dataset.flight_time.values, initial=0.0), shown.max(initial=0.0))
+                )
+            pictures.draw_diagram(ax, dataset, longest)
+            fixed = [axis for axis in pictures.AXES if axis != along]
             ax.set_title(pictures.values_at(dataset, fixed))
             if branches is not None:
                 _check_spring(branches, selected)
                 pictures.draw_branches(ax, branches)
             if data is not None:
-                along = pictures.along_of(dataset)
                 flights = dataset.flight_time.transpose(along, ...).values
-                points = measured(data, along, "flight_time", selected, frequency)
-                pictures.draw_measured(ax, points, dataset[along].values, flights.reshape(len(flights), -1))
+                pictures.draw_measured(ax, points, values, flights.reshape(len(flights), -1))
                 return ax
         elif dims == {"gamma", "omega"}:
             if "flight_time" in dataset:  # of a whole sweep, whose margins nobody has asked for

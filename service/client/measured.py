@@ -37,7 +37,7 @@ def measured(
 ) -> Measured:
     """The points of `data` over the axis `along`, of a `value`: "flight_time" in rad, or "gamma".
 
-    Leaves out points whose columns differ from the values `at` of other axes.
+    Leaves out rows without both values, and points whose columns differ from the values `at` of other axes.
 
     Flight times are in rad of the plate (`flight_time`), or in ms (`flight_time_ms`) with the plate's
     `frequency` in Hz as an argument or a column. `error` has the unit of its value. Raises BounceError naming
@@ -55,13 +55,13 @@ def measured(
             also = " or flight_time_ms" if name == "flight_time" else ""
             raise BounceError(f"data: needs the column {name}{also}; it has {', '.join(map(str, table))}")
     error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
-    inside = np.ones(len(table), bool)
+    columns = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
+    inside = np.isfinite(columns[0] + columns[1])
     for name in at.keys() & set(table):
         inside &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
     if not inside.any():
         place = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
-        raise BounceError(f"data: no point is at {place}")
-    columns = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
+        raise BounceError(f"data: no point is at {place}" if at else f"data: no row has {along} and {y}")
     return Measured(*(column[inside] for column in columns))
 
 
@@ -72,6 +72,8 @@ def element(data: Data) -> str:
         _numbers(table, str(name))
     name = Path(data).name if isinstance(data, str | PathLike) else "data"
     value = "flight_time" if {"flight_time", "flight_time_ms"} & set(table) else "gamma"
+    along = "omega" if value == "gamma" else next((axis for axis in _COLUMNS[:3] if axis in table), "gamma")
+    measured(table, along, value, {})
     points = {"value": value, "name": name, "text": table.to_csv(index=False)}
     files = json.dumps([points]).replace("<", "\\u003c")
     return f'<script type="application/json" id="measured">{files}</script>'

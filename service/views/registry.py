@@ -56,7 +56,8 @@ def stored(job: JobRecord, prepared: PreparedJob) -> Stored[Any]:
     done = job.state is JobState.DONE
     return Stored(
         prepared.spec.model_copy(update={"name": job.name}), prepared.store_url, done, job.kernel_version,
-        job.repairing, job.id, job.chunks_done, prepared.forms, prepared.submitted,
+        job.repairing, job.id, job.chunks_done, prepared.forms,
+        prepared.submitted.model_copy(update={"name": job.name}),
     )  # fmt: skip
 
 

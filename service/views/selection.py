@@ -99,8 +99,9 @@ class Stored(Generic[_Spec_co]):
 
     @property
     def origin(self) -> dict[str, str]:
-        """The attributes, and the specification as JSON."""
-        return {**self.attributes, "spec": json.dumps(self.spec.as_submitted(), ensure_ascii=False)}
+        """The attributes, and as JSON the specification that the job's id is of."""
+        spec = self.submitted or self.spec
+        return {**self.attributes, "spec": json.dumps(spec.as_submitted(), ensure_ascii=False)}
 
 
 def check_kernel(study: Stored[Any]) -> None:

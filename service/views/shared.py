@@ -45,16 +45,17 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
     lines, left_out = _lines(study)
     spec = study.spec
     job = {
-        "id": study.job, "name": spec.name, "state": "done", "spec": spec.as_submitted(), "error": None,
-        "kernel_version": study.kernel_version, "notice": None, "choice": None, "core_seconds": None,
-        "created": None, "progress": _progress(spec),
+        "id": study.job, "name": spec.name, "state": "done", "spec": json.loads(attributes["spec"]),
+        "error": None, "kernel_version": study.kernel_version, "notice": None,
+        "choice": json.loads(attributes.get("choice", "null")), "created": None, "progress": _progress(spec),
     }  # fmt: skip
     answers = {"diagram": lines, "modes": _maps(study), "threshold": _thresholds(study)}
     missing = "" if study.complete else "The sweep was not complete: cells are missing"
     shows = "" if numbers or missing else "It shows the sweep; its numbers are too many to be imported"
     note = ". ".join(filter(None, [missing, study.audit, left_out, shows]))
     about = {
-        "Software": attributes.get("software"), "History": attributes.get("history"),
+        "Core-seconds": attributes.get("core_seconds"), "Software": attributes.get("software"),
+        "History": attributes.get("history"),
         "Checksum of its numbers": "".join(_CHECKSUM.findall(numbers)),
         "How to cite": f"bouncing-spring {software().release}, and {REFERENCE}",
     }  # fmt: skip

@@ -1,11 +1,12 @@
 """Studies that are no plain sweeps on the page, in a real Chromium: maps, basins, attractors over a grid."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import httpx2
 import pytest
-from browser import needs_chromium, opened, picture, screenshot, wait_shown
+from browser import needs_chromium, open_tab, opened, picture, screenshot, wait_shown
 from scripted import DEADLINE, wait_for
 from served import done
 from studies import spec_of
@@ -30,6 +31,21 @@ def test_the_form_keeps_the_exponents_of_a_map(browser: Any, address: str):
     with opened(browser, f"{address}/#/new?from={parent}") as page:
         page.locator("button.button:enabled", has_text="Compute").click()
         page.wait_for_url(re.compile(f"#/job/{parent}"))  # the same study
+
+
+def test_a_ball_that_auto_chose_has_no_threshold_of_a_spring(browser: Any, address: str, tmp_path: Path):
+    auto = {"kind": "auto", "tolerance": 10}
+    job = done(address, spec_of((1.05, 1.6, 23), [0.02, 0.03], 0.3, model=auto))
+    with Client(address) as client:
+        file = client.job(job).share(tmp_path / "shared.html").as_uri()
+    for place, offline in ((f"{address}/#/job/{job}", False), (file, True)):
+        with opened(browser, place, offline=offline) as page:
+            page.locator(".summary", has_text="auto → ball").wait_for()
+            open_tab(page, "Thresholds")
+            wait_shown(page, xi=0.3)
+            assert "Eq. 25" not in page.locator(".panel .plot").inner_text()
+            open_tab(page, "Details")
+            page.get_by_role("heading", name="Selected model: ball").wait_for()
 
 
 def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: Any, address: str):

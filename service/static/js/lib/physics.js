@@ -138,8 +138,8 @@ export function startOf(name) {
   return { kind, ...Object.fromEntries(fields.map((field, i) => [field, Number(values[i])])), ...(state.length && { state }) };
 }
 
-/** Whether Eq. 25 is of a sweep. */
-export const hasSpring = ({ spec }) => spec.model.kind !== "ball";
+/** Whether Eq. 25 is of a sweep; of `auto`, of the contact that it chose. */
+export const hasSpring = ({ spec, choice }) => (choice?.model ?? spec.model.kind) !== "ball";
 
 /** Whether cycles of a spring can be drawn over a sweep. Those in closed form are of `rigid` without restitution. */
 export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spec.model.kind);

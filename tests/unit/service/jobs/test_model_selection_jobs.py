@@ -1,6 +1,8 @@
 """Jobs whose model a worker chooses: recorded before anything is computed, shown, and reproducible."""
 
+import io
 import json
+import re
 import threading
 from concurrent.futures import Future
 from contextlib import closing
@@ -8,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 from scripted import Held, wait_for
 from served import computing, finished, get, service
 from stores import store_in
@@ -68,13 +71,20 @@ def test_more_jobs_than_places_choose_at_once_and_all_are_computed(tmp_path: Pat
 
 def test_job_and_store_show_the_choice_and_have_the_numbers_of_the_model_chosen(tmp_path: Path):
     with computing(tmp_path) as client:
-        job = get(client, finished(client, SWEEP))
+        here = finished(client, SWEEP)
+        job = get(client, here)
+        picture = Image.open(io.BytesIO(client.get(f"{here}/diagram?format=png").content))
+        page = client.get(f"{here}/export?format=html").text
         rigid = get(client, finished(client, SWEEP | {"model": {"kind": "rigid", "restitution": 0.0}}))
     choice = job["choice"]
     assert (job["state"], choice["model"], rigid["choice"]) == ("done", "rigid", None)
     assert choice["reason"].startswith("rigid: the cheapest within 0.001 rad of exact soft in 95% of the")
     assert [row["model"] for row in choice["table"]] == ["ball", "rigid", "soft"]
     assert all(row["measured"] > 0.0 and row["cells"] == 46 for row in choice["table"])
+    shown = json.loads(re.search('id="shared">(.*?)</script>', page)[1])["job"]  # type: ignore[index]
+    told = json.loads(picture.text["Description"])["spec"]  # type: ignore[attr-defined]
+    assert shown["spec"] == json.loads(told) == job["spec"]  # which has the job's id
+    assert (shown["choice"]["reason"], shown["choice"]["model"]) == (choice["reason"], "rigid")
     auto, other = (str(store_in(tmp_path, each["id"])) for each in (job, rigid))
     attributes = store.read_attrs(auto)
     assert (attributes["model"], attributes["choice"]["reason"]) == ("rigid", choice["reason"])

@@ -112,6 +112,14 @@ def test_measured_flights_have_residuals_to_the_nearest(job: Job, ax: Axes, tmp_
     assert ax.child_axes[-1].get_title("right") == "3 of 4 points: median 0.02, largest 0.03"  # type: ignore[attr-defined]
 
 
+def test_the_axes_have_room_for_measured_flights_unless_a_window_is_asked_for(job: Job):
+    data = {"gamma": [1.0, 2.0], "flight_time": [50.0, 90.0]}  # the second is beyond the axis
+    ax = job.plot("diagram", omega=0.6, data=data, ax=Figure().subplots())
+    assert ax.get_ylim() == pytest.approx((0.0, 53.0))
+    ax = job.plot("diagram", omega=0.6, data=data, flight_stop=9.0, ax=Figure().subplots())
+    assert ax.get_ylim()[1] == 9.0
+
+
 def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
     at = float(job.threshold(progress=False).down.sel(omega=0.6))
     data = {"omega": [0.6, 0.6], "xi": [math.nan, 0.9], "gamma": [at + 0.01, at]}  # the other is elsewhere
@@ -120,12 +128,14 @@ def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
 
 
 def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
-    """A comma at the end of each line is none; with decimal commas other numbers would be read."""
+    """A comma at the end of each line is none; with decimal commas other numbers would be read.
+
+    A row without both values is no point: it has no residual, as on the page.
+    """
     file = tmp_path / "measured.csv"
     file.write_text("omega,gamma,flight_time\n0.6,1.5,4.2,\n0.6,2.0,NaN,\n0.6,,,\n")
     points = measured(file, "gamma", "flight_time", {"omega": 0.6})
-    np.testing.assert_array_equal(points.x, [1.5, 2.0, math.nan])
-    np.testing.assert_array_equal(points.y, [4.2, math.nan, math.nan])
+    np.testing.assert_array_equal(points, [[1.5], [4.2], [math.nan]])
     assert '"value": "flight_time"' in element(file)  # thresholds have columns of these names too
     for text, rule in (
         ("gamma,flight_time\n1,4\n1,5,4,2\n", "data: a row has more cells than there are columns"),
@@ -151,4 +161,16 @@ def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
 def test_data_that_is_no_table_of_points_is_refused(job: Job, data: Any, rule: str):
     with pytest.raises(BounceError) as caught:
         job.plot("diagram", omega=0.6, direction="down", data=data, ax=Figure().subplots())
+    assert rule in str(caught.value)
+
+
+@for_each(("data", "rule"), [
+    ({"gamma": [1.0], "flight_time_ms": [9.0]}, "data: flight_time_ms needs the plate's frequency in Hz"),
+    ({"flight_time": [1.0]}, "data: needs the column gamma; it has flight_time"),
+    ({"gamma": [1.0]}, "data: needs the column omega; it has gamma"),
+    ({"gamma": [math.nan], "flight_time": [1.0]}, "data: no row has gamma and flight_time"),
+])  # fmt: skip
+def test_points_that_no_page_can_draw_are_not_shared(data: Any, rule: str):
+    with pytest.raises(BounceError) as caught:
+        element(data)
     assert rule in str(caught.value)
