@@ -136,7 +136,7 @@ class BounceAccessor:
             pictures.draw_thresholds(ax, dataset)
             if data is not None:
                 points = measured(data, "omega", "gamma", selected)
-                computed = [dataset[name].values for name in ("up", "down", "analytic", "predicted_down")]
+                computed = [dataset[name].values for name in ("up", "down")]
                 pictures.draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
             return ax
         if "branch" in dataset.dims and "outcome" not in dataset:

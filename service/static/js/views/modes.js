@@ -1,7 +1,7 @@
 // The mode map: the outcome of every cell of a (Γ, Ω) plane, with the threshold of Eq. 25.
 
 import { currentQuery, setQuery } from "../lib/address.js";
-import { query } from "../lib/api.js";
+import { query, shared } from "../lib/api.js";
 import { checkBox, choice, h } from "../lib/dom.js";
 import { share } from "../lib/format.js";
 import { HYSTERESIS, OUTCOME, cellColumns, certifies, hasSpring, nearestIndex, threshold } from "../lib/physics.js";
@@ -78,7 +78,7 @@ export class Modes extends PlaneView {
   showLegend() {
     super.showLegend();
     const { every, computed_share: computed } = this.attrs;
-    const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. Zoom in for more detail. ` : "";
+    const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. ${shared ? "" : "Zoom in for more detail. "}` : "";
     const adaptive = `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block. `
       + "Of a map 0.3 to 0.5 % too many cells are aperiodic.";
     this.note.textContent = thinned + (this.isAdaptive ? adaptive : this.#hysteresisText());

@@ -120,11 +120,14 @@ def test_the_axes_have_room_for_measured_flights_unless_a_window_is_asked_for(jo
     assert ax.get_ylim()[1] == 9.0
 
 
-def test_measured_thresholds_have_residuals_to_the_nearest(job: Job, ax: Axes):
-    at = float(job.threshold(progress=False).down.sel(omega=0.6))
-    data = {"omega": [0.6, 0.6], "xi": [math.nan, 0.9], "gamma": [at + 0.01, at]}  # the other is elsewhere
-    job.plot("threshold", data=data, ax=ax)
-    np.testing.assert_allclose(residuals(ax), [0.01], atol=1e-9)
+def test_measured_thresholds_have_residuals_to_the_nearest_of_the_sweep(job: Job, ax: Axes):
+    found = job.threshold(progress=False).sel(omega=0.6)
+    at, closed = float(found.down), float(found.analytic)
+    gamma = [at + 0.01, at, closed]  # the second is elsewhere
+    job.plot("threshold", data={"omega": [0.6] * 3, "xi": [math.nan, 0.9, math.nan], "gamma": gamma}, ax=ax)
+    from_closed = min((closed - float(found.up), closed - at), key=abs)
+    assert abs(from_closed) > 1e-3
+    np.testing.assert_allclose(residuals(ax), [0.01, from_closed], atol=1e-9)
 
 
 def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
