@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kernel.cycles.admissibility import check, combination, force_at_landing, force_slope
 from kernel.cycles.closed_form import TWO_PI, floquet, orbit
@@ -306,6 +307,12 @@ _POINTS_WHERE: Final[Mapping[Kind, Callable[..., tuple[complex, complex]]]] = {
     Kind.FOLD_FLIP: lambda trace, det, trace1, det1: (trace, det + 1.0),
 }
 
+#: The functions that vanish where both multipliers are 1, and where both are -1, the 1:2 resonance.
+_MEET: Final[tuple[Callable[..., tuple[complex, complex]], ...]] = (
+    _POINTS_WHERE[Kind.BOGDANOV_TAKENS],
+    lambda trace, det, *_: (trace + 2.0, det - 1.0),
+)
+
 #: Codimension-2 points that lie on each kind of curve, and the index of the function that changes sign there.
 _POINTS_ON: Final[Mapping[Kind, tuple[tuple[Kind, int], ...]]] = {
     Kind.FOLD: ((Kind.CUSP, 1), (Kind.BOGDANOV_TAKENS, 1), (Kind.FOLD_FLIP, 1)),
@@ -322,14 +329,16 @@ def _codimension_2(plane: _Plane, kind: Kind, line: Floats) -> Iterator[tuple[Ki
         for i in np.flatnonzero(test[:-1] * test[1:] < 0.0):
             part = test[i] / (test[i] - test[i + 1])
             t, p = line[i] + part * (line[i + 1] - line[i])
-            solution = _codimension_2_at(plane, point, float(t), float(p))
+            solution = _codimension_2_at(plane, _POINTS_WHERE[point], float(t), float(p))
             if solution is not None and plane.low <= solution[1] <= plane.high:
                 yield point, *solution
 
 
-def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[float, float] | None:
-    """The codimension-2 point (T, parameter) near a guess, by Newton's method, or None."""
-    functions, aside = _POINTS_WHERE[kind], 1j * STEP
+def _codimension_2_at(
+    plane: _Plane, functions: Callable[..., tuple[complex, complex]], t: float, p: float
+) -> tuple[float, float] | None:
+    """The point (T, parameter) near a guess at which both functions vanish, by Newton's method, or None."""
+    aside = 1j * STEP
     for _ in range(_NEWTON):
         by_t, by_p = (np.array(functions(*plane.floquet(*x))) for x in ((t + aside, p), (t, p + aside)))
         try:
@@ -346,11 +355,29 @@ def _codimension_2_at(plane: _Plane, kind: Kind, t: float, p: float) -> tuple[fl
 
 def _pieces(plane: _Plane, kind: Kind, line: Floats) -> Iterator[Events]:
     """The records of a curve's parts; of a Neimark-Sacker curve those with complex multipliers."""
-    rows = [plane.event(kind, t, p) for t, p in line]
-    keep = np.array([kind is not Kind.NEIMARK_SACKER or row.multiplier[0, 0].imag != 0.0 for row in rows])
+    keep = np.ones(len(line), np.bool_)
+    if kind is Kind.NEIMARK_SACKER:
+        line, keep = _with_ends(plane, line)
     for first, last in stretches(keep):
         if last - first > 1:
-            yield join_events(rows[first:last])
+            yield join_events([plane.event(kind, t, p) for t, p in line[first:last]])
+
+
+def _with_ends(plane: _Plane, line: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """A Neimark-Sacker curve with the points at which its multipliers meet, at 1 or -1.
+
+    Also whether the multipliers of each point are complex or meet.
+    """
+    trace = np.real([plane.floquet(t, p)[0] for t, p in line])
+    keep = np.abs(trace) < 2.0
+    for i in np.flatnonzero(keep[:-1] != keep[1:])[::-1]:
+        end = math.copysign(2.0, trace[i] + trace[i + 1])
+        part = (end - trace[i]) / (trace[i + 1] - trace[i])
+        t, p = line[i] + part * (line[i + 1] - line[i])
+        solution = _codimension_2_at(plane, _MEET[end < 0.0], float(t), float(p))
+        if solution is not None and plane.low <= solution[1] <= plane.high:
+            line, keep = np.insert(line, i + 1, solution, axis=0), np.insert(keep, i + 1, values=True)
+    return line, keep
 
 
 def _unique(plane: _Plane, points: list[tuple[Kind, float, float]]) -> Events:

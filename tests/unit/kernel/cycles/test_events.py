@@ -142,9 +142,22 @@ def test_codimension_two(plane):
             assert plane.points.gamma[i] == pytest.approx(expected["gamma"], abs=1e-9)
 
 
+def test_neimark_sacker_curves_reach_the_points_at_which_their_multipliers_meet(plane):
+    """At 1 the fold's Bogdanov-Takens point, at -1 the 1:2 resonance; or the edge of the range."""
+    ends = []
+    for curve in plane.curves:
+        if curve.kind[0] == Kind.NEIMARK_SACKER:
+            for omega, gamma, mu in zip(curve.omega, curve.gamma, curve.multiplier[:, 0], strict=True):
+                if abs(mu**2 - 1.0) < 1e-5:
+                    ends.append((round(mu.real), omega, gamma))
+    takens = plane.points.omega[plane.points.kind == Kind.BOGDANOV_TAKENS]
+    assert sorted(omega for mu, omega, _ in ends if mu > 0) == pytest.approx(sorted(takens), abs=1e-9)
+    assert any(x == (-1, pytest.approx(0.507053, abs=1e-6), pytest.approx(2.380960, abs=1e-5)) for x in ends)
+
+
 def test_points_of_curves_are_events(plane):
     for curve in plane.curves:
-        for i in range(0, len(curve.gamma), 40):
+        for i in range(1, len(curve.gamma), 40):
             _, events = branch_and_events(float(curve.omega[i]), float(curve.xi[i]), 1)
             gamma, time = of(events, curve.kind[0], admissible=False)
             near = np.abs(time - curve.flight_time[i]) < 1e-7
