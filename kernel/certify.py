@@ -52,11 +52,12 @@ FAR: Final = 2**40  # plate periods: no end
 
 MARGIN: Final = 1e-6  # of the leading multiplier from one
 DEFECT: Final = 0.5  # of the map from its linear part, over the contraction that there must be
-#: Rounding error of flights, rad, if a relative change of the section's state changes them by up to GROWTH
-#: times as much; beside grazes and in long cycles it is larger in proportion. SHIFT: the change.
+#: Rounding error of flights, rad, if small changes of state and phase change them by up to GROWTH times as
+#: much; beside grazes and in long cycles it is larger in proportion. SHIFT: the change.
 FLOOR: Final = 5e-13
 GROWTH: Final = 5.0
-SHIFT: Final = 1e-11
+LARGE: Final = 100.0
+SHIFT: Final = 1e-13
 
 #: The counts of a lane: flights read, flights that count, plate period of the last flight that is not too
 #: short; flights and plate periods of the candidate.
@@ -419,7 +420,9 @@ def _accept(
         if not closes:
             return run
     repeats = _difference(cycle, 0, half, total, flights, part)
-    growth = _growth(cell, start, periods, total, window, attempt)
+    growth = _growth(cell, start, periods, total, window, attempt, SHIFT)
+    if growth > LARGE:  # changes may cancel; where much depends on it, others are tried
+        growth = max(growth, _growth(cell, start, periods, total, window, attempt, -SHIFT))
     error = repeats + FLOOR * max(1.0, growth / GROWTH) + attempt.error[0]
     if not (modulus < 1.0 - MARGIN and error < math.inf):  # a touch whose rate is zero has no bound
         return run
@@ -467,17 +470,29 @@ def _recorded(cell: Any, run: Progress, left: float, periods: int, window: Windo
 
 
 @jit
-def _growth(cell: Any, start: Progress, periods: int, total: int, window: Window, attempt: Attempt) -> float:
-    """Change of a turn's flights over a relative change of the section's state; rad.
+def _growth(
+    cell: Any, start: Progress, periods: int, total: int, window: Window, attempt: Attempt, shift: float
+) -> float:
+    """Change of a turn's flights over small changes at each phase of it and of the turn before; rad.
 
-    total: flights of two turns. inf if a flight begins or ends within rounding. Overwrites `attempt.y`.
+    Each is relative, of the state, and absolute, of the phase. What rounding does at the section may be
+    forgotten where the cycle sticks; what it does after that may grow until the cycle sticks again. total:
+    flights of two turns. inf if the changed flights are no longer near. shift: the first of the phase, which
+    changes its sign from phase to phase.
     """
-    for j in range(4):
-        attempt.y[j] *= 1.0 + SHIFT
-    flights = _recorded(cell, _from(start, attempt.y), TWO_PI * periods, periods, window, attempt)
-    if 2 * flights != total:
-        return math.inf
-    return _difference(attempt.cycle, 0, flights, total, flights, periods) / SHIFT
+    run, flights = _from(start, attempt.y), total // 2
+    for _ in range(2):
+        run = changed(run, recorded=0)
+        while run.recorded < flights:
+            x, shift, more, less = run.state, -shift, 1.0 + SHIFT, 1.0 - SHIFT
+            state = State(more * x.gap, more * x.gap1, less * x.q, (1.0 + shift) * x.q1)
+            run = changed(run, phase=run.phase + shift, state=state)
+            p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
+            run = record(run, p, window, attempt.cycle, 0)
+            if run.ending != ROOT:
+                return math.inf
+    difference = _difference(attempt.cycle, 0, flights, total, flights, 0)
+    return difference / SHIFT if difference <= NEAR else math.inf
 
 
 @jit

@@ -92,6 +92,36 @@ def test_period_doubling(epsilon: float, n: int):
     assert bisect(dies_out, flip - 0.01, flip + 0.01) == pytest.approx(flip, abs=1e-6)
 
 
+@for_each("gamma", [8.819118065835461, 10.371590283163922, 5.50291778328554])
+def test_the_error_of_flights_between_sticks_is_bounded_where_rounding_grows(gamma: float):
+    """Each flight to 40 digits from the take-off after sticking, whose phase forgets what was before."""
+    line = run(gamma, 0.3, certify=True, settle_until=5000, keep=4000)
+    kept = np.isfinite(line.flight_time[0])
+    phases, times = line.takeoff_phase[0, kept], line.flight_time[0, kept]
+    with mpmath.workdps(40):
+        leaves = 2 * mpmath.pi - mpmath.acos(1 / mpmath.mpf(gamma))
+        first, again = np.flatnonzero(np.abs(phases - float(leaves)) < 1e-9)[:2]
+        phase, velocity, errors = leaves, mpmath.mpf(0), []
+        for i in range(first, again):
+            gap, landing = fall_to(gamma, phase, velocity)
+            time = mpmath.findroot(gap, mpmath.mpf(times[i]))
+            turn = (phase - phases[i] + mpmath.pi) % (2 * mpmath.pi) - mpmath.pi
+            errors += [abs(turn), abs(time - times[i])]
+            phase, velocity = phase + time, -mpmath.mpf(0.3) * landing(time)
+    assert line.outcome[0] == Outcome.PERIODIC
+    assert line.multiplier[0] == 0.0
+    assert 1e-12 < max(errors) < line.flight_error[0] < 1e5 * max(errors)
+
+
+def fall_to(gamma: float, phase: mpmath.mpf, velocity: mpmath.mpf) -> tuple[Callable, Callable]:
+    """Gap and its rate in a flight that begins on the plate, by the time since."""
+    cos, sin = mpmath.cos(phase), mpmath.sin(phase)
+    return (
+        lambda t: cos + (velocity - sin) * t - t**2 / (2 * mpmath.mpf(gamma)) - mpmath.cos(phase + t),
+        lambda t: velocity - sin - t / mpmath.mpf(gamma) + mpmath.sin(phase + t),
+    )
+
+
 @for_each("n", [1, 2])
 @for_each("epsilon", [0.15, 0.5, 0.8])
 def test_saddle_node(epsilon: float, n: int):
