@@ -210,8 +210,8 @@ def recount(
     flight_time, takeoff_phase: (n, keep) in rad, flights: (n,), as in `params.Line`; modes: as classified
     with `micro_flight` (rad). A cycle must be seen three times in the stored flights, or be that of a
     periodic cell, once; a periodic cell is unresolved where they are less. Cells keep outcome and mode where
-    no other flights count than before, and aperiodic and settling ones their outcome where no mode is found:
-    the kernel has followed them beyond the stored flights.
+    no other flights count than before, in a whole cycle, and aperiodic and settling ones their outcome where
+    no mode is found: the kernel has followed them beyond the stored flights.
 
     Plate periods of take-offs are not stored: a contact between two flights is taken to be shorter than a
     plate period, except where the first classification tells how many periods a cycle has.
@@ -220,6 +220,10 @@ def recount(
     now = counted(flight_time, flights, shortest)
     result = Modes(modes.outcome.copy(), modes.bounces.copy(), modes.periods.copy())
     _recount(flight_time, takeoff_phase, before, now, *modes, *result)
+    # where shorter flights count, also those ahead of a cycle's first
+    ahead = (shortest < micro_flight) | ~np.any(flight_time > shortest, axis=1)
+    less = (flights > flight_time.shape[1]) & (np.count_nonzero(before, axis=1) < modes.bounces + ahead)
+    result.outcome[less], result.bounces[less], result.periods[less] = UNRESOLVED, 0, 0
     return result
 
 

@@ -87,7 +87,7 @@ class BounceAccessor:
         import pandas
 
         dataset = self._dataset
-        if "flight_time" not in dataset or "flight" not in dataset.flight_time.dims:
+        if not {"flight_time", "takeoff_phase", "direction"} <= set(dataset.variables):
             raise BounceError("to_dataframe: is of a diagram or of a whole sweep, which have flights")
         cells = [str(dim) for dim in dataset.flight_time.dims if dim != "flight"]
         times = dataset.flight_time.transpose(*cells, "flight").values
@@ -142,7 +142,7 @@ class BounceAccessor:
         if "branch" in dataset.dims and "outcome" not in dataset:
             pictures.draw_cycles(ax, dataset)
             return ax
-        if "outcome" not in dataset:
+        if "outcome" not in dataset or "direction" not in dataset.coords:
             raise BounceError("plot: is of a diagram, a map of modes, thresholds, branches, or a whole sweep")
         dims = set(dataset.outcome.dims)
         if len(dims - {"direction"}) == 1 and "flight_time" in dataset:

@@ -47,7 +47,7 @@ Window = dict[str, slice]
 class Hysteresis(IntEnum):
     """The difference between a cell's two directions."""
 
-    NONE = 0  # they agree, or one of them is unknown
+    NONE = 0  # they agree, or this is unknown
     MODE = 1  # different outcomes or modes
     FLIGHTS = 2  # the same mode with different flights
 
@@ -218,12 +218,12 @@ def compare(
 
     up, down: `outcome`, `bounces`, `periods` (...) counted with `min_flight`, rad, and the stored
     `flight_time` (..., keep), rad, and `flights` (...). Two cells without a cycle agree, as their flights
-    never repeat.
+    never repeat; so do those of which less than a cycle is kept, which may be different parts of it.
     """
     known = ~np.isin(up["outcome"], _UNKNOWN) & ~np.isin(down["outcome"], _UNKNOWN)
     same = np.logical_and.reduce([up[name] == down[name] for name in ("outcome", "bounces", "periods")])
     result: NDArray[np.uint8] = np.where(known & ~same, Hysteresis.MODE, Hysteresis.NONE).astype(np.uint8)
-    cycles = same & (up["outcome"] == Outcome.PERIODIC)
+    cycles = same & (up["outcome"] == Outcome.PERIODIC) & (up["bounces"] <= up["flight_time"].shape[-1])
     for bounces in np.unique(up["bounces"][cycles]).tolist():
         cells = cycles & (up["bounces"] == bounces)
         ends = [

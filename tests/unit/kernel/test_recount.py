@@ -55,3 +55,14 @@ def test_a_periodic_cell_stays_so_or_has_too_few_flights(shortest: float):
     np.testing.assert_array_equal(found.bounces[still], expected.bounces[still])
     np.testing.assert_array_equal(found.periods[still], expected.periods[still])
     assert np.count_nonzero(still) > np.count_nonzero(periodic) / 2
+
+
+@pytest.mark.parametrize("plate", PLATES.values(), ids=PLATES)
+@pytest.mark.parametrize("shortest", [0.0, 1.0, 6.0])
+def test_less_than_a_cycle_decides_nothing(plate: Any, shortest: float):
+    stored, expected = run(plate, 0.05, keep=2), run(plate, shortest)
+    modes = Modes(stored.outcome, stored.bounces, stored.periods)
+    found = recount(stored.flight_time, stored.takeoff_phase, stored.flights, modes, 0.05, shortest)
+    periodic = found.outcome == Outcome.PERIODIC
+    np.testing.assert_array_equal(found.bounces[periodic], expected.bounces[periodic])
+    np.testing.assert_array_equal(found.periods[periodic], expected.periods[periodic])

@@ -79,3 +79,13 @@ def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset)
 def test_what_to_select_is_said(sweep: xarray.Dataset, where: dict[str, Any], message: str):
     with pytest.raises(BounceError, match=message):
         sweep.bounce.plot(**where)
+
+
+def test_a_study_without_directions_is_refused():
+    basin = {"kind": "basin", "rows": 1, "columns": 2}
+    cell = {"gamma": [2.3, 3.6], "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "settle": 40}
+    study = run({**cell, "protocol": basin}, progress=False)
+    for line in (study, study.isel(xi=0, omega=0, id=0)):
+        for method in (line.bounce.to_dataframe, line.bounce.plot):
+            with pytest.raises(BounceError, match="is of a diagram"):
+                method()

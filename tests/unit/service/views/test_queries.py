@@ -16,7 +16,7 @@ from tables import for_each
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
 from service.views import selection, shared
-from service.views.modes import OTHER_FLIGHTS, Hysteresis
+from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
 from worker import store, studies
@@ -226,6 +226,15 @@ def test_hysteresis_is_where_up_and_down_end_on_different_cycles(both_ways: Stor
     window = modes(both_ways, direction="up", hysteresis=True, **ends)
     columns = [i for i, gamma in enumerate(both_ways.spec.axis_values("gamma")) if 0.6 <= gamma <= 1.0]
     assert window.hysteresis.values.tolist() == expected[1:][:, columns].tolist()
+
+
+def test_parts_of_a_cycle_are_no_hysteresis():
+    cells = {"outcome": np.array([1, 1]), "bounces": np.array([2, 3]), "periods": np.array([2, 3])}
+    up, down = (
+        cells | {"flight_time": np.array([times, times]), "flights": np.array([9, 9], np.int32)}
+        for times in ([3.0, 4.0], [4.0, 5.0])
+    )
+    assert compare(up, down, 0.05).tolist() == [Hysteresis.FLIGHTS, Hysteresis.NONE]
 
 
 def test_the_margin_of_stability_is_that_of_certified_cells(tmp_path: Path):
