@@ -107,7 +107,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
 
     - `rest`, `outcome`, `mode`: cells with another answer
     - `flights`: cells at rest or periodic whose flights deviate by more than `tolerance`
-    - `distribution`: other cells whose quantiles of flights do, beyond their scatter
+    - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided where the
+      sweep keeps fewer than 32 of more flights
     - `label`: of a sweep with exponents
     - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
     - `area`: points anywhere between the cells that are not what the nearest cell is
@@ -199,11 +200,14 @@ _Table = Mapping[str, Any]  # FIELDS as arrays (n,)
 
 
 def _table(parts: Sequence[Mapping[str, Any]]) -> _Table:
-    """The cells of all parts; deviations of -1 are infinite."""
+    """The cells of all parts; deviations of -1 are infinite, and those of -2 `unknown`."""
     dtypes = {"deviation": np.float64, "undecided": bool}
     columns = {name: [x for part in parts for x in part[name]] for name in audit.FIELDS}
     table = {name: np.array(column, dtypes.get(name)) for name, column in columns.items()}
-    table["deviation"][table["deviation"] < 0.0] = np.inf
+    deviation = table["deviation"]
+    table["unknown"] = deviation == -2.0
+    deviation[deviation == -1.0] = np.inf
+    deviation[table["unknown"]] = np.nan
     return table
 
 
@@ -228,12 +232,13 @@ def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled
     """The answers of a random sample of the cells that are not certified, scaled to all cells."""
     rest = sizes["cells"] - sizes["certified"]
     weight = rest / sizes["cells"]
+    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
+    unknown = {"flights": table["unknown"] & repeating, "distribution": table["unknown"] & ~repeating}
     answers = {
-        name: _answer(changed, table["undecided"], rest, weight)
+        name: _answer(changed, table["undecided"] | unknown.get(name, False), rest, weight)
         for name, changed in _masks(table, tolerance).items()
         if labelled or name != "label"
     }
-    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
     largest = float(np.nanmax(table["deviation"][repeating], initial=sizes["certified_error"]))
     within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest))
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
@@ -245,7 +250,8 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
     rest, sampled = sizes["cells"] - sizes["certified"], len(table["outcome"])
     weight = rest / sizes["cells"]
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
-    own = np.sort(np.where(repeating, np.nan_to_num(table["deviation"], posinf=inf), 0.0)).tolist()
+    deviation = np.where(table["unknown"], inf, np.nan_to_num(table["deviation"], posinf=inf))
+    own = np.sort(np.where(repeating, deviation, 0.0)).tolist()
     values = [sizes["certified_error"], *np.maximum(own, sizes["certified_error"]), inf]
 
     def share_within(number: int) -> float:

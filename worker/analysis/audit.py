@@ -47,6 +47,8 @@ _ANY: Final = (Cell(1.0, 1.0, 1.0),)
 LONGER: Final = 10
 #: Flights of a cell that the reference keeps, at least and at most: the store may keep less than a cycle.
 FEWEST_KEPT, MOST_KEPT = 256, 4096
+#: Flights of a cell that does not repeat from which its distribution can be told.
+FEWEST_TOLD: Final = 32
 #: Relative change of a start. The cell is undecided if its answer changes with it.
 MOVED: Final = 1e-12
 #: Number of hard cells next to another mode.
@@ -77,7 +79,7 @@ FIELDS: Final = (
     "gamma", "omega", "xi",
     "outcome", "bounces", "periods", "label",  # stored; for a point those of the nearest cell
     "true_outcome", "true_bounces", "true_periods", "true_label",  # of the reference
-    "deviation",  # of flights, rad; -1: infinite, None: the cell has no flights of its own
+    "deviation",  # of flights, rad; -1: infinite, -2: unknown, None: the cell has no flights of its own
     "undecided",
 )  # fmt: skip
 
@@ -233,20 +235,22 @@ def _compared(
     starts = [_start(spec, url, cell.indices) for cell in drawn]
     true, undecided = reference(spec, cells, starts, contact)
     stored = _stored(spec, url, grid, drawn)
-    apart = deviations(true, stored, spec.micro_flight)
+    apart = deviations(true, stored, spec.micro_flight, FEWEST_TOLD)
     modes, true_modes = _modes(spec, stored, 1), _modes(spec, true, LONGER)
     for i, cell in enumerate(drawn):
         own = cell.point is None and (COMPUTED not in grid or bool(grid[COMPUTED][cell.indices]))
-        deviation = float(apart[i]) if own else np.nan
+        deviation = float(apart[i]) if own else None
         yield _row(cell, cells[i], modes[i], true_modes[i], deviation, bool(undecided[i]))
 
 
 def _row(
-    drawn: _Drawn, cell: Cell, mode: tuple[int, ...], true_mode: tuple[int, ...], deviation: float,
+    drawn: _Drawn, cell: Cell, mode: tuple[int, ...], true_mode: tuple[int, ...], deviation: float | None,
     undecided: bool,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """The values of FIELDS, which are stored as JSON; modes as of `_modes`, NaN: no deviation."""
-    field = None if np.isnan(deviation) else deviation if np.isfinite(deviation) else -1.0
+    """The values of FIELDS, which are stored as JSON; modes as of `_modes`."""
+    field = deviation
+    if deviation is not None and not np.isfinite(deviation):
+        field = -2.0 if np.isnan(deviation) else -1.0
     place = SETS.index(drawn.set), drawn.unit, drawn.indices[0]
     return *place, *cell, *mode, *true_mode, field, undecided
 

@@ -28,16 +28,18 @@ FAILED: Final = (Outcome.UNRESOLVED, Outcome.DIVERGED)
 _Array = NDArray[np.float64]
 
 
-def deviations(exact: Line, other: Line, micro_flight: float) -> _Array:
+def deviations(exact: Line, other: Line, micro_flight: float, fewest: int = 0) -> _Array:
     """Deviation of the flights of `other` from those of `exact` in each cell (n,), rad.
 
-    NaN if `exact` is unresolved or diverged. Infinite if only `other` is, or if only one of both is at rest;
+    NaN if `exact` is unresolved or diverged, and where distributions would be compared of which `other` keeps
+    less than all, and fewer than `fewest`. Infinite if only `other` is, or if only one of both is at rest;
     0 if both are. For two periodic cells: the largest difference of the sorted flights over a common cycle; a
     flight without a counterpart counts with its whole time. Where `other` keeps less than a cycle, `nearest`.
     Otherwise: the largest difference of the quantiles, less the scatter of the shorter window. Flights of at
     most `micro_flight`, rad, are ignored unless a cell has no others.
     """
-    return np.array([_deviation(exact, other, i, micro_flight) for i in range(len(exact.outcome))])
+    cells = range(len(exact.outcome))
+    return np.array([_deviation(exact, other, i, micro_flight, fewest) for i in cells])
 
 
 def percentile(values: _Array, percent: float) -> float | None:
@@ -48,7 +50,7 @@ def percentile(values: _Array, percent: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
+def _deviation(exact: Line, other: Line, i: int, micro_flight: float, fewest: int) -> float:
     if exact.outcome[i] in FAILED:
         return math.nan
     if other.outcome[i] in FAILED:
@@ -59,7 +61,8 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float) -> float:
     exact_flights, other_flights = (_flights(line, i, micro_flight) for line in (exact, other))
     common = math.lcm(int(exact.periods[i]), int(other.periods[i]))  # 0 if one of them has no cycle
     if not 0 < common <= LONGEST_CYCLE:
-        return _between_distributions(exact_flights, other_flights)
+        few = len(other_flights) < fewest and other.flights[i] > other.flight_time.shape[1]
+        return math.nan if few else _between_distributions(exact_flights, other_flights)
     cycle, kept = exact_flights[-int(exact.bounces[i]) :], other_flights[-int(other.bounces[i]) :]
     if np.any(cycle > micro_flight):  # of a long chatter nothing else may be kept
         kept = kept[kept > micro_flight]

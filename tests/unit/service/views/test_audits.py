@@ -66,7 +66,7 @@ def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):
 def test_a_sentence_counts_flights_that_do_not_repeat(client: TestClient):
     """All cells are aperiodic, and as they begin: nothing but the distribution of flights is wrong."""
     model = {"kind": "rigid", "restitution": 0.999}
-    begins = {"gamma": [2.0, 3.0, 4.0], "xi": 0.01, "settle": 0, "observe": 9, "model": model}
+    begins = {"gamma": [2.0, 3.0, 4.0], "xi": 0.01, "settle": 0, "observe": 9, "keep": 4000, "model": model}
     found = audited(client, finished(client, PLANE | begins))
     others = found.sel(question="distribution")
     assert others.sampled == 48  # all of them
@@ -148,6 +148,18 @@ def test_flights_are_judged_where_less_than_a_cycle_is_kept(client: TestClient):
     fixed = {"settle": 300, "model": {"kind": "rigid", "restitution": 0.8}, "keep": 16}
     found = audited(client, finished(client, PLANE | longer | fixed), cells=18)
     assert found.sel(question="flights").changed <= found.sel(question="mode").changed
+
+
+def test_a_distribution_is_told_by_enough_flights(client: TestClient):
+    """Of 8 flights any two windows of one chaotic cell differ."""
+    chaotic = {"gamma": [2.5, 3.0, 3.5, 4.0], "omega": [0.4, 0.5, 0.6], "xi": 0.05}
+    numbers = {}
+    for keep in (8, 64):
+        found = audited(client, finished(client, PLANE | chaotic | {"keep": keep}), cells=12)
+        numbers[keep] = found.sel(question="distribution")
+    assert (numbers[8].changed, numbers[64].undecided) == (0, 0)
+    assert numbers[8].undecided >= 6
+    assert numbers[8].high > numbers[64].high
 
 
 def test_time_steps_do_not_follow_the_cells_of_another_contact(tmp_path):
