@@ -244,10 +244,10 @@ class ResultMethods(Methods):
     ) -> "xarray.Dataset":
         """The motion of one cell of a job.
 
-        As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
-        amplitudes; the attribute `rest_length` is that of the spring. Flights are those that start and end within
-        the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
-        stored state is where the computation stopped.
+        As it settles from rest, on its certified cycle, where the ramp left it, or on one of its attractors.
+        Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
+        start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
+        unresolved or diverged: its stored state is where the computation stopped.
 
         Returns a Dataset with the attribute `complete` and the variables `plate` (plate amplitudes), `z1`
         (plate amplitudes), `z2` (plate amplitudes), `velocity` (A omega), `force` (m A ω²), `in_flight`,

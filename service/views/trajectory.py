@@ -296,10 +296,10 @@ _Spec = SweepSpec | BasinSpec | MultistabilitySpec
 def compute(study: selection.Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     """The motion of one cell of a job.
 
-    As it settles from rest, where the ramp left it, or on one of its attractors. Lengths are in plate
-    amplitudes; the attribute `rest_length` is that of the spring. Flights are those that start and end within
-    the samples. Refused for a cell of a ramp that is not computed yet, or that is unresolved or diverged: its
-    stored state is where the computation stopped.
+    As it settles from rest, on its certified cycle, where the ramp left it, or on one of its attractors.
+    Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
+    start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
+    unresolved or diverged: its stored state is where the computation stopped.
     """
     selection.check_kernel(study)
     return motion(_cell(study.spec, query), _start(study, query))
@@ -329,9 +329,10 @@ def _cell(spec: _Spec, query: TrajectoryQuery) -> TrajectorySpec:
 
 
 def _start(study: selection.Stored[_Spec], query: TrajectoryQuery) -> NDArray[np.float64] | None:
-    """The stored state of the attractor, or of a ramp's cell at its end; None for a cell from rest."""
+    """The state of the attractor, or at the end of a ramp's cell or a certified one; else None, for rest."""
     spec = study.spec
-    indices = {axis: nearest.index for axis, nearest in selection.nearest_values(spec, query, AXES).items()}
+    nearest = selection.nearest_values(spec, query, AXES)
+    indices = {axis: grid.index for axis, grid in nearest.items()}
     if query.attractor is not None:
         arrays = selection.read_stored(study, ("attractor_outcome", "attractor_state"), indices)
         stored = int(np.count_nonzero(arrays["attractor_outcome"] != Outcome.MISSING))
@@ -339,10 +340,17 @@ def _start(study: selection.Stored[_Spec], query: TrajectoryQuery) -> NDArray[np
             rule = f"must be from 1 to {stored}: the attractors of this cell"
             raise InvalidRequest.of("attractor", rule if stored else "this cell has none yet")
         return np.asarray(arrays["attractor_state"][query.attractor - 1])
-    if not isinstance(spec, SweepSpec) or spec.ramp_axis is None:
+    if not isinstance(spec, SweepSpec) or not (spec.ramp_axis or spec.certifies):
         return None
+    indices["direction"] = _direction(spec, query)
+    if spec.ramp_axis is None:
+        if np.isnan(selection.read_stored(study, ("flight_error",), indices)["flight_error"]):
+            return None
+        # near a bifurcation its motion takes longer than `settle` to the cycle: end there as the sweep did
+        gamma, omega, xi = (np.array([nearest[axis].value]) for axis in Cell._fields)
+        return np.asarray(run_cells(spec, gamma, omega, xi, None).end_state[0])
     names = (schema.OUTCOME.name, schema.END_STATE.name)
-    arrays = selection.read_stored(study, names, {"direction": _direction(spec, query), **indices})
+    arrays = selection.read_stored(study, names, indices)
     if arrays[schema.OUTCOME.name] == Outcome.MISSING:
         raise InvalidRequest.of("gamma", "this cell is not computed yet; a ramp computes its cells in order")
     _check_ended("gamma", int(arrays[schema.OUTCOME.name]))

@@ -13,6 +13,7 @@ from tables import for_each
 
 from kernel.cycles.starts import cycles_at
 from kernel.params import Cell
+from service.client import Client
 
 CELL: dict[str, Any] = {"gamma": 2.3, "omega": 0.5, "xi": 0.26, "settle": 60, "periods": 4, "samples": 50}
 MODELS: list[dict[str, Any]] = [{"kind": "rigid"}, {"kind": "soft"}, {"kind": "ball", "restitution": 0.5}]
@@ -88,6 +89,17 @@ def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any],
     n = int(line.flights[0])
     np.testing.assert_allclose(flights["flight_time"], line.flight_time[0, :n], atol=1e-9)
     np.testing.assert_allclose(flights["takeoff_phase"], line.takeoff_phase[0, :n], atol=1e-9)
+
+
+def test_a_certified_cell_is_on_its_cycle_close_to_a_flip(python_client: Client):
+    """200 plate periods from rest its flights still alternate by 0.3 rad."""
+    model = {"kind": "rigid", "restitution": 0.4}
+    spec = {"name": "flip", "gamma": 2.08, "omega": 2 / 3, "xi": 0.175, "model": model}
+    job = python_client.submit(spec).wait(progress=False)
+    cell = job.diagram().isel(gamma=0)
+    assert (cell.multiplier > 0.998, cell.multiplier_angle) == (True, pytest.approx(np.pi))
+    flights = job.trajectory(2.08, periods=3).flight_time
+    assert flights[flights > 4.0].values == pytest.approx([cell.flight_time.max().item()] * 2, abs=1e-9)
 
 
 @pytest.mark.parametrize(("model", "restitution"), [(Model.RIGID, 0.0), (Model.SOFT, 0.01)])
