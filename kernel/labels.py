@@ -28,7 +28,8 @@ def label_codes(outcome: Any, lyapunov: Any, error: Any, observe: int) -> NDArra
     twice its error are within the resolution, and lambda_1 within SURE errors of 0; it is chaotic if lambda_1
     is above the resolution and twice its error. Otherwise it stays aperiodic: the window does not decide, or
     the cell approaches a cycle that is not found, or rest. A periodic cell is unstable if lambda_1 is above
-    the resolution: rounding holds it on its cycle. Other cells keep their outcome.
+    the resolution, and twice its error is not: rounding holds it on its cycle. The error is larger where a
+    chaotic transient ends within the window. Other cells keep their outcome.
     """
     codes: NDArray[np.uint8] = np.array(outcome, np.uint8)
     largest = np.asarray(lyapunov, np.float64)[..., 0]
@@ -38,5 +39,6 @@ def label_codes(outcome: Any, lyapunov: Any, error: Any, observe: int) -> NDArra
     is_zero = np.abs(largest) <= np.minimum(resolution, SURE * error)
     codes[aperiodic & is_zero & (uncertainty <= resolution)] = QUASI_PERIODIC
     codes[aperiodic & (largest > resolution) & (largest > uncertainty)] = CHAOTIC
-    codes[(codes == Outcome.PERIODIC) & (largest > resolution)] = UNSTABLE
+    held = (largest > resolution) & ~(uncertainty > resolution)  # short windows have no error
+    codes[(codes == Outcome.PERIODIC) & held] = UNSTABLE
     return codes

@@ -185,6 +185,15 @@ def test_rounding_holds_a_start_on_an_unstable_cycle_and_the_label_says_so():
     assert label_codes(line.outcome, line.lyapunov, line.lyapunov_error, 100) == [LABELS.index("unstable")]
 
 
+def test_chaos_that_ends_within_the_window_makes_no_cycle_unstable():
+    """Its growth is in the mean, and so in the error; the cycle's own multiplier is 0.25."""
+    cell = (3.1604210042970933, 0.6558982444478886, 0.03461752048647314)
+    line = run(*cell, restitution=0.0, settle=200, observe=1000, exponents=1)
+    assert (line.outcome[0], line.bounces[0], line.periods[0]) == (Outcome.PERIODIC, 5, 7)
+    assert line.lyapunov[0, 0] > 0.3
+    assert label_codes(line.outcome, line.lyapunov, line.lyapunov_error, 1000) == [Outcome.PERIODIC]
+
+
 def test_labels_refine_aperiodic_and_unstable_cells_only():
     outcome = np.array([*Outcome, *[Outcome.APERIODIC] * 9])
     largest = np.array([0.3] * len(Outcome) + [0.009, -0.009, 0.011, -0.011, math.nan, 0.0, 0.3, 0.3, -0.002])
