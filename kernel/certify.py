@@ -53,11 +53,13 @@ FAR: Final = 2**40  # plate periods: no end
 MARGIN: Final = 1e-6  # of the leading multiplier from one
 DEFECT: Final = 0.5  # of the map from its linear part, over the contraction that there must be
 #: Rounding error of flights, rad, if small changes of state and phase change them by up to GROWTH times as
-#: much; beside grazes and in long cycles it is larger in proportion. SHIFT: the change.
+#: much; beside grazes and in long cycles it is larger in proportion. Where changes by SHIFT lead elsewhere,
+#: those by LEAST are taken, about as small as rounding is.
 FLOOR: Final = 5e-13
 GROWTH: Final = 5.0
 LARGE: Final = 100.0
 SHIFT: Final = 1e-13
+LEAST: Final = 1e-15
 
 #: The counts of a lane: flights read, flights that count, plate period of the last flight that is not too
 #: short; flights and plate periods of the candidate.
@@ -423,6 +425,9 @@ def _accept(
     growth = _growth(cell, start, periods, total, window, attempt, SHIFT)
     if growth > LARGE:  # changes may cancel; where much depends on it, others are tried
         growth = max(growth, _growth(cell, start, periods, total, window, attempt, -SHIFT))
+    if growth == math.inf:
+        growth = _growth(cell, start, periods, total, window, attempt, LEAST)
+        growth = max(growth, _growth(cell, start, periods, total, window, attempt, -LEAST))
     error = repeats + FLOOR * max(1.0, growth / GROWTH) + attempt.error[0]
     if not (modulus < 1.0 - MARGIN and error < math.inf):  # a touch whose rate is zero has no bound
         return run
@@ -484,7 +489,8 @@ def _growth(
     for _ in range(2):
         run = changed(run, recorded=0)
         while run.recorded < flights:
-            x, shift, more, less = run.state, -shift, 1.0 + SHIFT, 1.0 - SHIFT
+            x, shift, size = run.state, -shift, abs(shift)
+            more, less = 1.0 + size, 1.0 - size
             state = State(more * x.gap, more * x.gap1, less * x.q, (1.0 + shift) * x.q1)
             run = changed(run, phase=run.phase + shift, state=state)
             p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
@@ -492,7 +498,7 @@ def _growth(
             if run.ending != ROOT:
                 return math.inf
     difference = _difference(attempt.cycle, 0, flights, total, flights, 0)
-    return difference / SHIFT if difference <= NEAR else math.inf
+    return difference / abs(shift) if difference <= NEAR else math.inf
 
 
 @jit

@@ -92,7 +92,7 @@ def test_period_doubling(epsilon: float, n: int):
     assert bisect(dies_out, flip - 0.01, flip + 0.01) == pytest.approx(flip, abs=1e-6)
 
 
-@for_each("gamma", [8.819118065835461, 10.371590283163922, 5.50291778328554])
+@for_each("gamma", [8.819118065835461, 10.371590283163922, 6.703383742495469])
 def test_the_error_of_flights_between_sticks_is_bounded_where_rounding_grows(gamma: float):
     """Each flight to 40 digits from the take-off after sticking, whose phase forgets what was before."""
     line = run(gamma, 0.3, certify=True, settle_until=5000, keep=4000)
