@@ -88,7 +88,7 @@ class Search(NamedTuple):
     time: Any  # (lanes * SEARCHED,) the flights that count, in ring buffers as `modes.Flights`
     phase: Any
     period: Any
-    failed: Any  # (lanes, LONGEST + 1) rad, differences at which candidates last failed; 0: the one under way
+    failed: Any  # (lanes, LONGEST + 1) rad, differences at which candidates last failed, -1: for good; 0: now
     counts: Any  # (lanes, 5) int64, see READ
 
 
@@ -138,7 +138,8 @@ def certified(
     if begins and _newton(cell, start, periods, window, attempt):
         run = _accept(cell, run, start, periods, window, attempt, i, line)
     if run.ending != CERTIFIED:
-        search.failed[k, search.counts[k, BOUNCES]] = search.failed[k, 0]
+        hopeless = attempt.error[0] == math.inf  # also from another section
+        search.failed[k, search.counts[k, BOUNCES]] = -1.0 if hopeless else search.failed[k, 0]
     return run
 
 
@@ -429,6 +430,7 @@ def _accept(
         growth = _growth(cell, start, periods, total, window, attempt, LEAST)
         growth = max(growth, _growth(cell, start, periods, total, window, attempt, -LEAST))
     error = repeats + FLOOR * max(1.0, growth / GROWTH) + attempt.error[0]
+    attempt.error[0] = error
     if not (modulus < 1.0 - MARGIN and error < math.inf):  # a touch whose rate is zero has no bound
         return run
     line.flight_error[i] = error / (1.0 - modulus)
