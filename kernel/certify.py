@@ -79,7 +79,7 @@ class Attempt(NamedTuple):
     first: Any  # (4,) where the trajectory is after a turn
     step: Any  # (4,) of Newton's method
     turn: Any  # (4, 4) the derivative of a turn
-    error: Any  # (1,) rad, of the landings of a turn, by rounding
+    error: Any  # (1,) rad, by rounding: of the landings of a turn, in the end of the cycle's flights
 
 
 class Search(NamedTuple):
@@ -135,11 +135,12 @@ def certified(
     """
     periods = search.counts[k, PERIODS]
     begins, start = _section(cell, run, k, periods, window, flights, attempt)
-    if begins and _newton(cell, start, periods, window, attempt):
+    found = begins and _newton(cell, start, periods, window, attempt)
+    if found:
         run = _accept(cell, run, start, periods, window, attempt, i, line)
     if run.ending != CERTIFIED:
-        hopeless = attempt.error[0] == math.inf  # also from another section
-        search.failed[k, search.counts[k, BOUNCES]] = -1.0 if hopeless else search.failed[k, 0]
+        unbounded = found and attempt.error[0] == math.inf  # of the cycle, and so from any section
+        search.failed[k, search.counts[k, BOUNCES]] = -1.0 if unbounded else search.failed[k, 0]
     return run
 
 

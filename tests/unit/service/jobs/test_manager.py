@@ -352,7 +352,7 @@ def test_a_key_makes_a_repeated_request_one_request(tmp_path: Path):
 def test_the_table_of_costs_tells_the_time_left_of_few_chunks(
     tmp_path: Path, lines: int, in_a_row: int | None
 ):
-    gamma, omega = {"start": 1.5, "stop": 5.0, "num": 200}, np.linspace(0.5, 1.0, lines).tolist()
+    gamma, omega = {"start": 1.5, "stop": 5.0, "num": 2000}, np.linspace(0.5, 1.0, lines).tolist()
     spec = parse(spec_of(gamma, omega, 0.26, protocol={"kind": "multistability"}))
     line = study_of(spec).estimate(spec, plan := study_of(spec).plan(spec)).core_seconds / len(plan)
     with running(tmp_path, Held(capacity=2)) as service:
