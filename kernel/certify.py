@@ -144,6 +144,17 @@ def certified(
     return run
 
 
+@jit
+def follows_refused(k: int, search: Search) -> bool:
+    """Whether the cell in lane k repeats a cycle without a bound of its error, or to the last digit one that
+    no attempt certifies: it repeats by rounding.
+    """
+    refused = False
+    for bounces in range(1, LONGEST + 1):
+        refused |= search.failed[k, bounces] <= 0.0
+    return refused
+
+
 # --- the search for a candidate -------------------------------------------------------------------------
 
 

@@ -23,6 +23,7 @@ from kernel.certify import (
     allocate_search,
     begin_search,
     certified,
+    follows_refused,
     has_candidate,
     move_search,
 )
@@ -141,7 +142,7 @@ def _settling_or(outcome: int, spring: Any, run: Progress, flights: Flights, fir
 @jit
 def _after_window(
     spring: Any, before: Progress, run: Progress, i: int, k: int, window: Window, line: Line,
-    flights: Flights, lanes: Lanes, variations: Variations | None,
+    flights: Flights, lanes: Lanes, variations: Variations | None, search: Search | None,
 ) -> Progress:  # fmt: skip
     """The run that follows `run`, which has ended after `before`: beyond its window, or in a later window.
 
@@ -152,6 +153,8 @@ def _after_window(
     if window.certify:
         if run.ending != CERTIFIED:
             _write_record(spring, line, i, run, flights, first, window)
+            if search is not None and line.outcome[i] == cell.SETTLING and follows_refused(k, search):
+                line.outcome[i] = cell.APERIODIC
             run = cell.go_on(before, run, line.outcome[i], window)
         if run.ending != ROOT:
             lanes.counts[1] += 1
@@ -266,8 +269,9 @@ def _walk(
                         run = certified(springs[k], run, i, k, window, line, flights, search, attempt)
                     if run.ending != ROOT:
                         run = _after_window(
-                            springs[k], before, run, i, k, window, line, flights, lanes, variations
-                        )
+                            springs[k], before, run, i, k, window, line, flights, lanes, variations,
+                            search,
+                        )  # fmt: skip
                         turned = False
                 if i < 0 or run.ending != ROOT:
                     i += 1

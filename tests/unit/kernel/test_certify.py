@@ -205,3 +205,9 @@ def test_a_cell_that_settles_late_goes_on_until_it_is_certified(observe: int):
     line = run_line(*cell, plate=RigidPlate(ZERO[:1]), carry=False, **options)
     assert line.outcome[0] == Outcome.PERIODIC
     assert (line.bounces[0], line.periods[0]) == (7, 12)
+
+
+def test_long_cycles_that_a_rebounding_ball_repeats_by_rounding_are_aperiodic():
+    gamma = np.array([2.151104908484363, 2.025316690463456, 2.000166723904982, 5.540599688174893])
+    line = run_line(gamma, np.ones(4), np.ones(4), plate=BallPlate(np.full(4, 0.3)), carry=False, **CERTIFY)
+    assert line.outcome.tolist() == 4 * [Outcome.APERIODIC]
