@@ -40,10 +40,16 @@ _ENDED: Final = frozenset({"closed", "closing", "failed"})
 LOOPBACK: Final = "127.0.0.1"
 #: Workers still running after CLOSE_SECONDS are killed, and those that replaced them after KILL_SECONDS.
 CLOSE_SECONDS, KILL_SECONDS = 1.5, 0.1
-#: Schedulers and workers always listen for HTTP; without routes they serve only an empty sitemap.
-_NO_HTTP: Final[dict[str, list[str]]] = {
+#: Schedulers and workers always listen for HTTP; without routes they serve only an empty sitemap. Nobody sees
+#: what they would note of themselves up to a hundred times a second, busy or not.
+_QUIET: Final[dict[str, Any]] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.cycle": "10s",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.gil.enabled": False,
 }
 
 
@@ -189,7 +195,7 @@ class LocalWorkers(Target):
         self._stack = contextlib.ExitStack()
         try:
             folder = str(self._stack.enter_context(temporary_folder("bouncing-spring-dask-")))
-            with dask.config.set(_NO_HTTP | {"temporary-directory": folder}):  # of the scheduler
+            with dask.config.set(_QUIET | {"temporary-directory": folder}):  # of the scheduler
                 self.cluster = LocalCluster(  # type: ignore[no-untyped-call]
                     n_workers=0,
                     threads_per_worker=1,
@@ -201,7 +207,7 @@ class LocalWorkers(Target):
                     # distributed's default depends on the cores, not on the number of processes.
                     memory_limit=memory or system.MEMORY_LIMIT // workers,
                     local_directory=folder,  # of the workers, later replacements included
-                    config=_NO_HTTP,
+                    config=_QUIET,
                 )
                 self.cluster.sync(self._start_workers, workers)
         except BaseException:
