@@ -18,9 +18,9 @@ from worker.sweep.schema import bytes_per_cell
 from worker.sweep.specification import AXES, SweepSpec
 
 #: A sweep that costs less than MANY_WORKERS chunks of TARGET_SECONDS is still divided into MANY_WORKERS
-#: chunks, but into none shorter than SHORT_SECONDS, where a task's overhead is a tenth. A small one is
-#: divided into FEW_WORKERS chunks, but into none shorter than SMALLEST_SECONDS.
-MANY_WORKERS, SHORT_SECONDS = 64, 0.15
+#: chunks, but into none shorter than SHORT_SECONDS: beside the kernel a chunk costs about 0.05 s. A small one
+#: is divided into FEW_WORKERS chunks, but into none shorter than SMALLEST_SECONDS.
+MANY_WORKERS, SHORT_SECONDS = 16, 0.5
 FEW_WORKERS, SMALLEST_SECONDS = 8, 0.0125
 #: A sweep that would have more chunks has longer ones, of up to LONGEST_SECONDS: 15,000 chunks of nine arrays
 #: are 135,000 files. Like any long chunk, they pause in between.
