@@ -126,8 +126,8 @@ def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
 def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
     """The rotation of a settled motion, in a state (6,) at phase 0, around an unstable cycle; None if none.
 
-    The number is a weighted mean of the turns; its error is the change from half as many. Newton's method
-    seeks the cycle from the motion's mean state and from some of its states.
+    The number is a weighted mean of the turns; its error is the larger change from a half of them. Newton's
+    method seeks the cycle from the motion's mean state and from some of its states.
     """
     for periods in range(1, _AROUND + 1):
         states = _strobed(plate, cell, state, periods, _ROUNDS)
@@ -139,8 +139,9 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
             q, q1 = ((states[:, 4:] - centre) / np.abs(centre)).T
             turns = np.diff(np.arctan2(q1, q)) / TWO_PI
             turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
-            number, half = _mean(turns), _mean(turns[: len(turns) // 2])
-            number, error = abs(number - round(number)), abs(number - half)
+            number = _mean(turns)
+            error = max(abs(number - _mean(half)) for half in np.array_split(turns, 2))
+            number = abs(number - round(number))
             if error < min(_ERROR, _RELATIVE_ERROR * number):  # number 0: the cycle lies outside
                 return Rotation(number, error, around)
     return None
