@@ -27,7 +27,7 @@ from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, crossing, f
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
-from worker.spec.contact_models import Contact
+from worker.spec.contact_models import Contact, Rigid, Soft
 from worker.study.layout import CELL_DIMS
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.task import run_cells
@@ -56,8 +56,9 @@ CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
 SECTIONS: Final = 5
 STEPS: Final = 60
 _LEAST_STEP: Final = 0.05
-#: Most core-seconds of the curves of a mode.
-CURVES_SECONDS: Final = 6.0
+#: Most core-seconds of the curves of a mode up to a restitution of 1 - _BOUNCY. Beyond it they grow as the
+#: number of hops after a landing, 1/(1 - restitution).
+_CURVES_SECONDS, _BOUNCY = 6.0, 0.3
 #: The secant rule: its first step along a branch, its last, and the limit on steps.
 _SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 12
 #: A zero farther along a branch is another event.
@@ -266,6 +267,11 @@ def _longest_first(points: list[Point], micro_flight: float) -> Floats:
     for row, times in zip(table, counted, strict=True):
         row[: len(times)] = times
     return table
+
+
+def curves_seconds(contact: Rigid | Soft) -> float:
+    """Most core-seconds of `follow_curves` for a mode."""
+    return _CURVES_SECONDS * max(1.0, _BOUNCY / (1.0 - contact.restitution))
 
 
 def follow_curves(

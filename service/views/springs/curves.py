@@ -22,7 +22,7 @@ from service.views.springs.queries import (
 )
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, View, Xi
-from worker.analysis.cycles import CONTACT_CURVES, CURVES_SECONDS, follow_curves
+from worker.analysis.cycles import CONTACT_CURVES, curves_seconds, follow_curves
 from worker.spec.errors import one_of
 
 if TYPE_CHECKING:
@@ -127,12 +127,15 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
             grid_length(*spring, periods)
     omega, xi = springs[0]
     closed_form = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
-    seconds = np.cumsum(closed_form if contact is None else [CURVES_SECONDS] * len(modes))
+    followed = [] if contact is None else [curves_seconds(contact)] * len(modes)
+    seconds = np.cumsum(followed or closed_form)
     if seconds[-1] > MAX_SECONDS:
         fitting = int(np.searchsorted(seconds, MAX_SECONDS, "right"))
+        ways = [f"ask for the first {fitting}"] if fitting else []
+        ways.append("take a smaller restitution" if followed else "take a larger omega")
         rule = (
             f"their curves from omega {omega:g} on take about {seconds[-1]:.0f} core-seconds, the limit for "
-            f"one answer is {MAX_SECONDS:g}: ask for the first {fitting}, or take a larger omega"
+            f"one answer is {MAX_SECONDS:g}: {', or '.join(ways)}"
         )
         raise InvalidRequest.of("modes", rule)
     return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY, small=False)

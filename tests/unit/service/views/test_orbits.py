@@ -1,5 +1,6 @@
 """Closed-form answers over HTTP and in the client, against the kernel's functions and known numbers."""
 
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -169,6 +170,18 @@ def test_curves_are_held_to_a_limit(client: TestClient, monkeypatch: pytest.Monk
     query = {"xi": 0.051, "omega_start": 0.6, "omega_stop": 0.68, "modes": "1-1", "kinds": "fold"}
     wait_for(lambda: client.get("/v1/curves", params=query).status_code != 202)
     assert "omega_stop: the curves up to 0.68 have more" in refused(client, "/v1/curves", 422, **query)
+
+
+@for_each(("query", "advice"), [
+    ({"restitution": 0.95, "modes": "1-1,1-2"}, "72 .* ask for the first 1, or take a smaller restitution$"),
+    ({"restitution": 0.98, "modes": "1-1"}, "90 .* is 60: take a smaller restitution$"),
+])  # fmt: skip
+def test_curves_of_a_contact_that_hops_for_long_are_held_to_the_limit(
+    client: TestClient, query: dict[str, Any], advice: str
+):
+    """At restitutions of 0.9 and 0.95 curves took up to 18 and 40 core-seconds a mode."""
+    span = {"xi": 0.05, "omega_start": 0.55, "omega_stop": 0.7, "model": "rigid"}
+    assert re.search(advice, refused(client, "/v1/curves", 422, **span, **query))
 
 
 # Cycles continued from the cells of a sweep
