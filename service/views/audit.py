@@ -107,8 +107,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
 
     - `rest`, `outcome`, `mode`: cells with another answer
     - `flights`: cells at rest or periodic whose flights deviate by more than `tolerance`
-    - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided where the
-      sweep keeps fewer than 32 of more flights
+    - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided of
+      fewer than 16 flights, or where the sweep keeps fewer than 32 of more
     - `label`: of a sweep with exponents
     - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
     - `area`: points anywhere between the cells that are not what the nearest cell is

@@ -21,6 +21,8 @@ QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 SCATTERS: Final = 2.25
 #: Parts of a window whose differences give its scatter.
 PARTS: Final = 4
+#: Flights from which the scatter is told. All windows of fewer differ, also those of one cell.
+FEWEST: Final = 4 * PARTS
 
 #: Outcomes whose flights are not compared. Cells still settling are compared like aperiodic ones.
 FAILED: Final = (Outcome.UNRESOLVED, Outcome.DIVERGED)
@@ -32,11 +34,12 @@ def deviations(exact: Line, other: Line, micro_flight: float, fewest: int = 0) -
     """Deviation of the flights of `other` from those of `exact` in each cell (n,), rad.
 
     NaN if `exact` is unresolved or diverged, and where distributions would be compared of which `other` keeps
-    less than all, and fewer than `fewest`. Infinite if only `other` is, or if only one of both is at rest;
-    0 if both are. For two periodic cells: the largest difference of the sorted flights over a common cycle; a
-    flight without a counterpart counts with its whole time. Where `other` keeps less than a cycle, `nearest`.
-    Otherwise: the largest difference of the quantiles, less the scatter of the shorter window. Flights of at
-    most `micro_flight`, rad, are ignored unless a cell has no others.
+    less than all, and fewer than `fewest`, or, with a `fewest`, has fewer than FEWEST. Infinite if only
+    `other` is, or if only one of both is at rest; 0 if both are. For two periodic cells: the largest
+    difference of the sorted flights over a common cycle; a flight without a counterpart counts with its whole
+    time. Where `other` keeps less than a cycle, `nearest`. Otherwise: the largest difference of the
+    quantiles, less the scatter of the shorter window. Flights of at most `micro_flight`, rad, are ignored
+    unless a cell has no others.
     """
     cells = range(len(exact.outcome))
     return np.array([_deviation(exact, other, i, micro_flight, fewest) for i in cells])
@@ -61,7 +64,9 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float, fewest: in
     exact_flights, other_flights = (_flights(line, i, micro_flight) for line in (exact, other))
     common = math.lcm(int(exact.periods[i]), int(other.periods[i]))  # 0 if one of them has no cycle
     if not 0 < common <= LONGEST_CYCLE:
-        few = len(other_flights) < fewest and other.flights[i] > other.flight_time.shape[1]
+        told = 0 if exact.periods[i] else min(fewest, FEWEST)  # of a cycle the flights are known
+        least = fewest if other.flights[i] > other.flight_time.shape[1] else told
+        few = len(other_flights) < least
         return math.nan if few else _between_distributions(exact_flights, other_flights)
     cycle, kept = exact_flights[-int(exact.bounces[i]) :], other_flights[-int(other.bounces[i]) :]
     if np.any(cycle > micro_flight):  # of a long chatter nothing else may be kept
@@ -103,7 +108,7 @@ def _between_distributions(exact: _Array, other: _Array) -> float:
 
 def _scatter(flights: _Array) -> float:
     """Expected distance between the quantiles of two such windows, estimated from parts of this one."""
-    if len(flights) < 4 * PARTS:
+    if len(flights) < FEWEST:
         return 0.0
     parts = [_quantiles(part) for part in np.array_split(flights, PARTS)]
     distance = max(float(np.max(np.abs(a - b))) for i, a in enumerate(parts) for b in parts[:i])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kernel_runs import Model, run
 
 from kernel.params import Line
-from worker.analysis.deviation import deviations
+from worker.analysis.deviation import FEWEST, deviations
 from worker.analysis.model_selection import CELLS, ModelChoice, choose, sample
 from worker.sweep import SweepSpec
 from worker.sweep.task import run_cells
@@ -136,6 +136,16 @@ def test_a_window_of_chaos_is_seldom_told_from_the_next():
     aperiodic = one.outcome == 2
     assert np.mean(deviations(one, two, 0.0)[aperiodic] > 0.05) < 0.12
     assert np.mean(deviations(one, ball, 0.0)[aperiodic] > 0.05) > 0.85
+
+
+def test_a_window_of_few_flights_tells_no_distribution():
+    """Not even from that of the same motion a rounding apart."""
+    gamma = np.linspace(150.0, 200.0, 30)
+    one, two = (run(x, 0.5, 0.26, Model.RIGID, settle=300, observe=100) for x in (gamma, gamma * (1 + 1e-12)))
+    assert np.all(one.outcome == 2)
+    assert np.all(two.flights < FEWEST)
+    assert np.mean(deviations(one, two, 0.0) > 0.05) > 0.85
+    assert np.all(np.isnan(deviations(one, two, 0.0, FEWEST)))
 
 
 def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
