@@ -21,7 +21,7 @@ QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 SCATTERS: Final = 2.25
 #: Parts of a window whose differences give its scatter.
 PARTS: Final = 4
-#: Flights from which the scatter is told. All windows of fewer differ, also those of one cell.
+#: Flights from which the scatter is told. Any two windows of fewer differ, also those of one motion.
 FEWEST: Final = 4 * PARTS
 
 #: Outcomes whose flights are not compared. Cells still settling are compared like aperiodic ones.
@@ -38,8 +38,8 @@ def deviations(exact: Line, other: Line, micro_flight: float, fewest: int = 0) -
     `other` is, or if only one of both is at rest; 0 if both are. For two periodic cells: the largest
     difference of the sorted flights over a common cycle; a flight without a counterpart counts with its whole
     time. Where `other` keeps less than a cycle, `nearest`. Otherwise: the largest difference of the
-    quantiles, less the scatter of the shorter window. Flights of at most `micro_flight`, rad, are ignored
-    unless a cell has no others.
+    quantiles, less the scatter of the shorter window, or the range of the longer if it has fewer than FEWEST
+    flights; 0 if both do. Flights of at most `micro_flight`, rad, are ignored unless a cell has no others.
     """
     cells = range(len(exact.outcome))
     return np.array([_deviation(exact, other, i, micro_flight, fewest) for i in cells])
@@ -100,16 +100,18 @@ def sorted_apart(exact: _Array, other: _Array) -> float:
 
 
 def _between_distributions(exact: _Array, other: _Array) -> float:
-    if not len(exact) or not len(other):
-        return 0.0 if len(exact) == len(other) else math.inf
+    few, more = sorted((exact, other), key=len)
+    if len(more) < FEWEST:
+        return 0.0
+    if not len(few):
+        return math.inf
     distance = float(np.max(np.abs(_quantiles(exact) - _quantiles(other))))
-    return max(0.0, distance - SCATTERS * _scatter(min(exact, other, key=len)))
+    scatter = SCATTERS * _scatter(few) if len(few) >= FEWEST else float(np.ptp(more))
+    return max(0.0, distance - scatter)
 
 
 def _scatter(flights: _Array) -> float:
     """Expected distance between the quantiles of two such windows, estimated from parts of this one."""
-    if len(flights) < FEWEST:
-        return 0.0
     parts = [_quantiles(part) for part in np.array_split(flights, PARTS)]
     distance = max(float(np.max(np.abs(a - b))) for i, a in enumerate(parts) for b in parts[:i])
     return distance / math.sqrt(PARTS)
