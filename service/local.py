@@ -293,6 +293,7 @@ def computed(
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)
+        _forget_moved(ledger, settings)
         runner = _Runner(manager, ledger, executor, progress)
         with ExitStack() as stack:
             if budget is None:
@@ -418,6 +419,14 @@ def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = Fal
     if others:
         rule = "holds a run of another specification; remove it first"
         raise FileExistsError(errno.EEXIST, rule, str(folder))
+
+
+def _forget_moved(ledger: Ledger, settings: Settings) -> None:
+    """Forget the done job whose store an interrupted run moved to its output: that was removed since."""
+    with ledger.writing() as writing:
+        for job in writing.search():
+            if job.state is JobState.DONE and not Path(settings.store_of(job.store)).exists():
+                writing.delete(job)
 
 
 def cores() -> int:

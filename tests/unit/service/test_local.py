@@ -1,5 +1,7 @@
 """`service.local`: studies computed without a service."""
 
+import shutil
+import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
@@ -102,6 +104,21 @@ def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path
     with pytest.raises(InvalidSpecification, match="omega: must be finite"):
         local.run(SPEC | {"omega": float("nan")}, tmp_path / "a.zarr", progress=False)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_died_when_its_store_was_moved_begins_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    target = tmp_path / "sweep.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(local, "sync", lambda folder: sys.exit(130))
+        with pytest.raises(SystemExit):
+            local.run(SPEC, target, progress=False)
+    before = files(target)
+    shutil.rmtree(target)
+    local.run(SPEC, target, progress=False)
+    assert files(target) == before
+    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_what_is_there_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
