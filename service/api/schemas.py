@@ -94,6 +94,14 @@ class SubmitQuery(Query):
     )
 
 
+class JobQuery(Query):
+    """Which budget is shown."""
+
+    budget: str | None = Field(
+        None, description="id of a budget with this level; by default the newest with this level is shown"
+    )
+
+
 class MotionQuery(Query):
     """The format of a motion."""
 
@@ -156,6 +164,7 @@ class BudgetView(BaseModel):
 
     model_config = ConfigDict(from_attributes=True)
 
+    id: str = Field(description="as the `budget` of GET: budgets of one sweep share levels")
     doing: str = Field(description="the level that is computed; in the end what its audit says")
     computing: str | None = Field(description="id of the job of that level")
     answer: str | None = Field(description="id of the job of the finest level that is done")

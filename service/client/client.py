@@ -141,7 +141,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                     raise errors.InvalidSpecification.before_sending(reached["error"])
                 return self.job(reached["answer"])
             time.sleep(BUDGET_DELAY)
-            first._refresh_in_time()
+            first._refresh_in_time(budget=reached.get("id"))  # budgets of others have the same first level
         raise BounceError("the service has begun anew, which ends the budget: `jobs` finds its levels")
 
     def import_shared(self, path: "str | PathLike[str]") -> Job:

@@ -4,6 +4,7 @@ import heapq
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
@@ -106,8 +107,11 @@ class Job(ResultReader, ResultMethods, JobStatus):
 
     def refresh(self) -> "Job":
         """Request the current status; the service answers 304 if nothing changed."""
+        return self._refresh()
+
+    def _refresh(self, **query: str | None) -> "Job":
         headers = {"If-None-Match": self._etag} if self._etag else {}
-        response = self._transport.get(self._path(), headers=headers)
+        response = self._transport.get(self._path(), query, headers=headers)
         if response.status_code == 304:
             self._retry_after = retry_after(response)
         else:
@@ -311,12 +315,12 @@ class Job(ResultReader, ResultMethods, JobStatus):
             axes = accessor.plot(ax=ax, branches=given, data=data, frequency=frequency)
         return axes
 
-    def _refresh_in_time(self) -> None:
+    def _refresh_in_time(self, **query: str | None) -> None:
         """Refresh, waiting for an absent service; become the job that replaces this one, if any."""
         while True:
             if self._is_replaced():
                 self.id, self._etag = str(self.replaced_by), None
-            outlast(self.refresh)
+            outlast(partial(self._refresh, **query))
             if not self._is_replaced():
                 return
 

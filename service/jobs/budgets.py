@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, Final
+from uuid import uuid4
 
 from service.budget import check, within
 from service.errors import Busy, IllegalTransition, RunFailed, ServiceError, UnknownJob
@@ -44,8 +45,8 @@ class Budgets:
         self._budgets: list[Budget] = []  # the last begun first
         self._own = set[str]()  # jobs that only budgets asked for
 
-    def begin(self, spec: Any, seconds: float, owner: str | None) -> Submission:
-        """Begin a budget, and return the submission of its first level. A repeated request joins its budget.
+    def begin(self, spec: Any, seconds: float, owner: str | None) -> "tuple[Submission, Budget]":
+        """Begin a budget; its first submission, and the budget. A repeated request joins its budget.
 
         Raises SpecInvalid, Busy, and as `JobManager.submit`.
         """
@@ -67,7 +68,7 @@ class Budgets:
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
                 self._budgets = [budget, *going, *over][:KEPT]
         job, accepted = budget.first.result()
-        return Submission(job, accepted and joined is None)
+        return Submission(job, accepted and joined is None), budget
 
     def own(self, job_id: str) -> None:
         """Note that a budget began a job: it may be cancelled when the time is over."""
@@ -83,10 +84,11 @@ class Budgets:
             users = [budget for budget in self._budgets if budget.computing == job_id]
         return job_id in self._own and len(users) <= 1
 
-    def of(self, job_id: str) -> "Budget | None":
-        """The newest budget with this job as a level."""
+    def of(self, job_id: str, budget_id: str | None = None) -> "Budget | None":
+        """The budget with this id that has this job as a level; by default the newest with this level."""
         with self._lock:
-            return next((budget for budget in self._budgets if job_id in budget.levels), None)
+            with_level = (budget for budget in self._budgets if job_id in budget.levels)
+            return next((budget for budget in with_level if budget_id in (None, budget.id)), None)
 
     def close(self) -> None:
         """Begin no further level."""
@@ -99,7 +101,7 @@ class Budget:
     def __init__(
         self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None, known: Steps | None
     ) -> None:
-        self._budgets, self.spec, self._owner = budgets, spec, owner
+        self._budgets, self.spec, self._owner, self.id = budgets, spec, owner, uuid4().hex
         self.seconds, self.is_done = budgets.manager.seconds, budgets.manager.is_done
         self._seconds, self.ends = seconds, time.monotonic() + seconds
         self.steps = known  # of the finest level that is done

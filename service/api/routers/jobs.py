@@ -14,6 +14,7 @@ from service.api.dependencies import JobDep, JsonBody, OwnerDep, PageBody, Servi
 from service.api.schemas import NOT_MODIFIED, JobView, job_view, json_body, problem_responses
 from service.errors import InvalidRequest
 from service.formats import MOST_SHARED
+from service.jobs.budgets import Budget
 from service.jobs.manager import Submission
 from service.jobs.stores.sharing import import_shared
 from service.ledger.model import UNFINISHED, JobRecord
@@ -75,7 +76,7 @@ def submit_job(
     if query.budget is not None:
         if idempotency_key is not None:
             raise InvalidRequest.of("budget", "has no Idempotency-Key: a repeated request joins it anyway")
-        return _submitted(service, service.budgets.begin(spec, query.budget, owner), kept=False)
+        return _submitted(service, *service.budgets.begin(spec, query.budget, owner))
     return _submitted(service, service.manager.submit(spec, idempotency_key, owner))
 
 
@@ -101,17 +102,17 @@ def import_file(service: ServiceDep, body: PageBody) -> Response:
 
 
 def _submitted(
-    service: ServiceDep, submission: Submission, *, kept: bool = True, notice: str | None = None
+    service: ServiceDep, submission: Submission, budget: Budget | None = None, *, notice: str | None = None
 ) -> Response:
-    """The response to a submission. kept: whether a user wants the job, so that no budget cancels it."""
+    """The response to a submission. budget: that has begun it; without one a user wants the job itself."""
     job, accepted = submission
-    if kept:
-        service.budgets.disown(job.id)
+    if budget is None:
+        service.budgets.disown(job.id)  # no budget cancels it
+        budget = service.budgets.of(job.id)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
         headers["Retry-After"] = str(_retry_after(job))
-    budget = _budget_view(service, job.id)
-    return _job_response(job, 202 if accepted else 200, headers, notice=notice, budget=budget)
+    return _job_response(job, 202 if accepted else 200, headers, notice=notice, budget=_budget_view(budget))
 
 
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
@@ -135,7 +136,9 @@ def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()])
     response_model=JobView,
     responses={**NOT_MODIFIED, **problem_responses(404)},
 )
-def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
+def get_job(
+    service: ServiceDep, job_id: str, request: Request, query: Annotated[schemas.JobQuery, Query()]
+) -> Response:
     """State, progress and failures; 304 if the ETag in `If-None-Match` is current."""
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
@@ -143,7 +146,8 @@ def get_job(service: ServiceDep, job_id: str, request: Request) -> Response:
     cluster, notice = service.manager.supervisor.cluster, None
     if job.state in UNFINISHED:
         notice = service.ledger.fault() or cluster.explanation
-    compiling, reached = service.manager.compiling(job), _budget_view(service, job_id)
+    compiling = service.manager.compiling(job)
+    reached = _budget_view(service.budgets.of(job_id, query.budget))
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)
     # weak, because the estimated time left changes while the tag stays
@@ -236,9 +240,8 @@ def _job_response(
     return Response(job_view(job, **about).model_dump_json(), status, headers, "application/json")
 
 
-def _budget_view(service: ServiceDep, job_id: str) -> schemas.BudgetView | None:
-    """How far the budget of a level is."""
-    budget = service.budgets.of(job_id)
+def _budget_view(budget: Budget | None) -> schemas.BudgetView | None:
+    """How far a budget is."""
     return None if budget is None else schemas.BudgetView.model_validate(budget)
 
 

@@ -40,6 +40,15 @@ def test_a_budget_is_answered_with_its_view_and_with_200_once_its_job_is_there(t
     assert {answer.json()["budget"]["computing"] for answer in answers} == {answers[0].json()["id"]}
 
 
+def test_budgets_of_one_sweep_are_told_apart(tmp_path: Path):
+    with service(tmp_path, Held()) as client:
+        begun = [client.post(f"/v1/jobs?budget={seconds}", json=SWEEP).json() for seconds in (600, 300)]
+        assert begun[0]["id"] == begun[1]["id"]
+        own = [get(client, f"/v1/jobs/{job['id']}", budget=job["budget"]["id"])["budget"] for job in begun]
+    assert [budget["id"] for budget in own] == [job["budget"]["id"] for job in begun]
+    assert own[0]["seconds_left"] > 300 >= own[1]["seconds_left"]
+
+
 def view_of(client: TestClient, job: dict[str, Any]) -> dict[str, Any]:
     return get(client, f"/v1/jobs/{job['id']}")
 

@@ -457,11 +457,13 @@ def test_no_error_shows_a_password_of_the_address(url: str):
 
 def test_a_budget_ends_with_its_service():
     """A service that has begun anew knows of none; a budget that was too short says why."""
-    begun = {"doing": "level 1 of 2", "answer": None, "seconds_left": 9, "over": False, "error": None}
+    begun = {"doing": "level 1", "answer": None, "seconds_left": 9, "over": False, "error": None, "id": "ab"}
     short = begun | {"over": True, "error": "budget: was over before the first level"}
     first = Answer(202, view() | {"budget": begun})
     anew, over = Answer(body=view()), Answer(body=view() | {"budget": short})
     with scripted(first, LOST, anew) as (_, client), pytest.raises(BounceError, match="begun anew"):
         client.run({}, budget=10.0, progress=False)
-    with scripted(first, over) as (_, client), pytest.raises(InvalidSpecification, match="was over before"):
-        client.run({}, budget=10.0, progress=False)
+    with scripted(first, over) as (server, client):
+        with pytest.raises(InvalidSpecification, match="was over before"):
+            client.run({}, budget=10.0, progress=False)
+        assert server.requests[-1][1].endswith("?budget=ab")  # not another of the same sweep
