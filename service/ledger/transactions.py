@@ -257,13 +257,14 @@ class WriteTransaction(ReadTransaction):
         choice: str | None,
         now: float,
         error: str,
+        **labels: str,
     ) -> None:
         """Insert a job with stored results: done if `reports` has every chunk, else failed with `error`."""
         self.insert(job, now, store)
         record = cast(JobRecord, self.find(job.id))
         complete = len(reports) == job.chunks_total
         state, reason = (JobState.DONE, None) if complete else (JobState.FAILED, error)
-        self.update(record, state=state, started=now, finished=now, choice=choice, error=reason)
+        self.update(record, state=state, started=now, finished=now, choice=choice, error=reason, **labels)
         self.mark_done(record, reports)
 
     def delete(self, job: JobRecord) -> None:

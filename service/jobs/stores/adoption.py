@@ -35,12 +35,13 @@ LARGEST: Final = 1e9
 _WITHOUT_STATE: Final = (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED)
 
 
-def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
+def adopt(ledger: Ledger, settings: Settings, named: str, **labels: str) -> JobRecord:
     """Adopt a store as the job that it claims to be. Chunks that can be read whole are done.
 
     named: name or address of the store, or the id of its job, for the newest of the job's stores. The job is
-    done if all chunks are, else failed: resuming it computes the others. The store is not changed. Raises
-    NotAdoptable if it is not a store of a job, or if the ledger knows the job.
+    done if all chunks are, else failed: resuming it computes the others. labels: columns of the job that its
+    store does not have. The store is not changed. Raises NotAdoptable if it is not a store of a job, or if
+    the ledger knows the job.
     """
     job_id, named = id_of(Path(named).name), Path(named).name.removesuffix(".zarr")
     unknown = find_unknown(ledger, settings)
@@ -61,7 +62,8 @@ def adopt(ledger: Ledger, settings: Settings, named: str) -> JobRecord:
     with ledger.writing() as writing:
         if writing.find(job_id) is not None:
             raise known
-        writing.adopt(job, name, reports, choice, time.time(), f"adopted: {summary}; resume it for the rest")
+        reason = f"adopted: {summary}; resume it for the rest"
+        writing.adopt(job, name, reports, choice, time.time(), reason, **labels)
         adopted = writing.find(job_id)
     assert adopted is not None
     return adopted

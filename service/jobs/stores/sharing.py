@@ -8,7 +8,6 @@ import json
 import re
 from base64 import b64decode, b64encode
 from collections.abc import Callable
-from dataclasses import replace
 from hashlib import sha256
 from typing import Any, Final
 
@@ -110,7 +109,7 @@ def import_shared(
     url = settings.store_of(f"{name}.zarr")
     try:
         store.restore(url, files, layout)
-        job = adopt(ledger, settings, name)
+        job = adopt(ledger, settings, name, name=given, runs=runs)
     except NotAdoptable as error:
         store.remove(url)
         if ledger.find(job_id) is None:
@@ -127,9 +126,7 @@ def import_shared(
         url = settings.store_of(other)
         if id_of(other) == job_id and store.ROOT not in store.names_in(url):  # of an interrupted import
             store.remove(url)
-    with ledger.writing() as writing:
-        writing.update(job, name=given, runs=runs)
-    return replace(job, name=given, runs=runs), True
+    return job, True
 
 
 def _unpacked(content: bytes) -> dict[str, bytes]:

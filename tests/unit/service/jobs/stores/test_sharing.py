@@ -104,6 +104,25 @@ def test_a_whole_store_that_the_ledger_does_not_know_stays(
     assert client.delete(answer.headers["Location"]).status_code == 204
 
 
+def test_an_import_that_dies_has_its_software_or_is_no_job(
+    shared: tuple[bytes, dict[str, bytes]],
+    elsewhere: tuple[TestClient, Path],
+    monkeypatch: pytest.MonkeyPatch,
+):
+    (page, _), (client, _) = shared, elsewhere
+    service = client.app.state.service  # type: ignore[attr-defined]
+
+    def die(*_: Any) -> None:
+        raise SystemExit
+
+    monkeypatch.setattr(sharing, "find_unknown", die)
+    with pytest.raises(SystemExit):
+        sharing.import_shared(service.ledger, service.settings, service.manager.check, page)
+    job = service.ledger.find(from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION))
+    assert json.loads(job.runs)
+    service.manager.delete(job.id)
+
+
 def _resealed(change: Callable[[dict[str, bytes]], None]) -> Callable[[bytes], bytes]:
     """A page with other files and their right checksum."""
 
