@@ -3,6 +3,7 @@
 Imports the standard library only: the kernel cache is checked before anything else is loaded.
 """
 
+import fcntl
 import logging
 import os
 import shutil
@@ -23,6 +24,9 @@ _OTHERS_WRITE: Final = 0o022
 #: The permissions of a folder, and of a file, for one user alone.
 PRIVATE_FOLDER: Final = 0o700
 PRIVATE_FILE: Final = 0o600
+
+#: In a temporary folder, locked as long as its process lives.
+_MARK: Final = ".in-use"
 
 _temporary: Final[set[Path]] = set()
 
@@ -93,14 +97,31 @@ def _is_ours(status: os.stat_result) -> bool:
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
-    """A new folder for this user alone, removed at the end of the block."""
+    """A new folder for this user alone, removed at the end of the block, or by the next one after a kill."""
+    _remove_left(prefix)
     folder = Path(tempfile.mkdtemp(prefix=prefix))
     _temporary.add(folder)
     try:
-        yield folder
+        with (folder / f"{_MARK}.new").open("x") as mark:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(mark, fcntl.LOCK_EX)
+                (folder / f"{_MARK}.new").rename(folder / _MARK)  # nobody sees it unlocked
+            yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         _temporary.discard(folder)
+
+
+def _remove_left(prefix: str) -> None:
+    """Remove the temporary folders of processes that were killed."""
+    for mark in Path(tempfile.gettempdir()).glob(f"{prefix}*/{_MARK}"):
+        with suppress(OSError):  # another process has it, or another user
+            file = os.open(mark, os.O_RDONLY | os.O_NONBLOCK)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(mark.parent)
+            finally:
+                os.close(file)
 
 
 def remove_temporary_folders() -> None:

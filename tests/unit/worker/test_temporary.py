@@ -1,5 +1,7 @@
 """Temporary folders: for this user alone, and gone at the end."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -32,6 +34,23 @@ def test_a_temporary_folder_is_gone_at_the_end_of_its_block(place: Path):
     folder.mkdir()  # by somebody else
     remove_temporary_folders()
     assert list(place.iterdir()) == [folder]
+
+
+def test_the_next_one_removes_those_of_killed_processes_alone(place: Path):
+    (others := place / "some-folder").mkdir()
+    script = f"""
+import os, tempfile
+from worker.ownership import temporary_folder
+tempfile.tempdir = {str(place)!r}
+with temporary_folder("some-") as folder:
+    os.kill(os.getpid(), 9)
+"""
+    with temporary_folder("some-") as living:
+        subprocess.run([sys.executable, "-c", script], check=False)
+        assert len(list(place.iterdir())) == 3
+        with temporary_folder("some-") as folder:
+            assert {*place.iterdir()} == {others, living, folder}
+    assert list(place.iterdir()) == [others]
 
 
 def test_a_process_that_ends_at_once_removes_those_in_use(place: Path):
