@@ -95,7 +95,7 @@ class Settings(BaseSettings):
 
     # The cluster
 
-    workers: Count = Field(2, description="Worker processes of the embedded cluster.")
+    workers: int = Field(2, ge=1, le=1024, description="Worker processes of the embedded cluster.")
     scheduler: str | None = Field(None, description="Address of a Dask scheduler to compute with.")
     scheduler_file: Path | None = Field(
         None, description="File written by `dask scheduler --scheduler-file`."

@@ -26,6 +26,7 @@ def test_every_setting_is_described_in_one_sentence(name: str):
         ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_"),
         ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
         ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
+        ({"workers": 100_000}, "workers"),
         ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
         ({"stores": "ftp://somewhere"}, "stores"),
         ({"port": 65536}, "port"),
