@@ -146,8 +146,9 @@ def certified(
 
 @jit
 def follows_refused(k: int, search: Search) -> bool:
-    """Whether the cell in lane k repeats a cycle without a bound of its error, or to the last digit one that
-    no attempt certifies: it repeats by rounding.
+    """Whether the cell in lane k repeats, by rounding, a cycle that cannot be certified.
+
+    Its error has no bound, or it repeats to the last digit and no attempt certifies it.
     """
     refused = False
     for bounces in range(1, LONGEST + 1):

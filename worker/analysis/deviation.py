@@ -38,8 +38,9 @@ def deviations(exact: Line, other: Line, micro_flight: float, fewest: int = 0) -
     `other` is, or if only one of both is at rest; 0 if both are. For two periodic cells: the largest
     difference of the sorted flights over a common cycle; a flight without a counterpart counts with its whole
     time. Where `other` keeps less than a cycle, `nearest`. Otherwise: the largest difference of the
-    quantiles, less the scatter of the shorter window, or the range of the longer if it has fewer than FEWEST
-    flights; 0 if both do. Flights of at most `micro_flight`, rad, are ignored unless a cell has no others.
+    quantiles, less the scatter of the shorter window. If that has fewer than FEWEST flights and neither cell
+    is periodic, less the range of the longer; 0 if both have fewer. Flights of at most `micro_flight`, rad,
+    are ignored unless a cell has no others.
     """
     cells = range(len(exact.outcome))
     return np.array([_deviation(exact, other, i, micro_flight, fewest) for i in cells])
@@ -67,7 +68,8 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float, fewest: in
         told = 0 if exact.periods[i] else min(fewest, FEWEST)  # of a cycle the flights are known
         least = fewest if other.flights[i] > other.flight_time.shape[1] else told
         few = len(other_flights) < least
-        return math.nan if few else _between_distributions(exact_flights, other_flights)
+        has_cycle = bool(exact.periods[i] or other.periods[i])
+        return math.nan if few else _between_distributions(exact_flights, other_flights, has_cycle)
     cycle, kept = exact_flights[-int(exact.bounces[i]) :], other_flights[-int(other.bounces[i]) :]
     if np.any(cycle > micro_flight):  # of a long chatter nothing else may be kept
         kept = kept[kept > micro_flight]
@@ -99,15 +101,17 @@ def sorted_apart(exact: _Array, other: _Array) -> float:
     return float(np.max(np.abs(exact - other), initial=0.0))
 
 
-def _between_distributions(exact: _Array, other: _Array) -> float:
+def _between_distributions(exact: _Array, other: _Array, has_cycle: bool) -> float:
+    """has_cycle: whether one of them is periodic, and its few flights are all that it has."""
     few, more = sorted((exact, other), key=len)
-    if len(more) < FEWEST:
+    if not len(more) or (len(more) < FEWEST and not has_cycle):
         return 0.0
     if not len(few):
         return math.inf
     distance = float(np.max(np.abs(_quantiles(exact) - _quantiles(other))))
-    scatter = SCATTERS * _scatter(few) if len(few) >= FEWEST else float(np.ptp(more))
-    return max(0.0, distance - scatter)
+    if len(few) >= FEWEST:
+        return max(0.0, distance - SCATTERS * _scatter(few))
+    return distance if has_cycle else max(0.0, distance - float(np.ptp(more)))
 
 
 def _scatter(flights: _Array) -> float:

@@ -146,6 +146,8 @@ def test_a_window_of_few_flights_tells_no_distribution():
     assert np.all(two.flights < FEWEST)
     assert np.all(deviations(one, two, 0.0) == 0.0)
     assert np.all(np.isnan(deviations(one, two, 0.0, FEWEST)))
+    cycle = one._replace(periods=np.ones_like(one.periods), bounces=np.ones_like(one.bounces))
+    assert np.mean(deviations(cycle, two, 0.0) > 0.05) > 0.85  # of a cycle the flights are known
 
 
 def test_cells_without_an_answer_are_not_compared_and_do_not_pass():
