@@ -497,12 +497,19 @@ _TURN_TWICE = """plot => {
 }"""
 
 
-#: A step, and Back before anything else happens.
-_STEP_AND_BACK = """async (plot) => {
+#: Back, a step before the page hears of it, and Back before anything else happens.
+_BACK_STEP_AND_BACK = """async (plot) => {
+    const back = async () => {
+        const gone = new Promise((done) => {
+            addEventListener("popstate", done, { once: true });
+            setTimeout(done, 5000);
+        });
+        history.back();
+        await gone;
+    };
+    await back();
     plot.dispatchEvent(new KeyboardEvent("keydown", { key: "+", bubbles: true, cancelable: true }));
-    const back = new Promise((done) => addEventListener("popstate", done, { once: true }));
-    history.back();
-    await back;
+    await back();
 }"""
 
 
@@ -522,9 +529,7 @@ def test_the_diagram_zooms_changes_axis_and_hides_a_ramp(browser: Any, address: 
         address = page.url
         page.locator(".panel .plot").evaluate(_TURN_TWICE)
         page.wait_for_url(re.compile("x0=.*y1="))
-        page.go_back()
-        page.wait_for_url(address)
-        page.locator(".panel .plot").evaluate(_STEP_AND_BACK)
+        page.locator(".panel .plot").evaluate(_BACK_STEP_AND_BACK)
         page.wait_for_url(address)
         page.go_forward()
         page.wait_for_url(re.compile("x0="))

@@ -24,11 +24,11 @@ export function navigate(path, query = {}) {
 
 // Browsers limit how often the address may change; a slider changes it hundreds of times.
 const write = debounced(120, () => flush());
-let pending = null; // `from`: the address that it replaces
+let pending = null; // `from`: the address that it replaces, unless a link or Back has changed it meanwhile
+const isPending = () => pending?.from === location.hash;
 
-/** Write what is pending, unless a link or Back has changed the address meanwhile. */
 function flush(isStep = false) {
-  if (pending?.from !== location.hash) return;
+  if (!isPending()) return;
   history[isStep ? "pushState" : "replaceState"](null, "", link(pending.path, pending.query));
   pending.from = location.hash;
 }
@@ -39,7 +39,7 @@ export const queryChanges = new EventTarget();
 /** Change query parameters; null removes one. With `isStep`, the browser's Back returns to the state before. */
 export function setQuery(changes, isStep = false) {
   if (isStep) flush();
-  pending ??= { ...currentAddress(), from: location.hash };
+  if (!isPending()) pending = { ...currentAddress(), from: location.hash };
   const entries = Object.entries({ ...pending.query, ...changes }).filter(([, value]) => (value ?? null) !== null);
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
   if (isStep) flush(true); // at once: written later it would replace the state to which Back has returned
@@ -54,7 +54,7 @@ export function replace(path, query = {}) {
 }
 
 /** The query parameters, including changes not written yet. */
-export const currentQuery = () => (pending ?? currentAddress()).query;
+export const currentQuery = () => (isPending() ? pending : currentAddress()).query;
 
 /** Drop changes not written yet: they belong to a view that was left. */
 export const discardPending = () => { pending = null; };

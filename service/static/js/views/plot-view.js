@@ -59,7 +59,7 @@ async function requestFitting(path, options) {
 export class PlotView {
   current = null; // the cell under the pointer or reached by keyboard
   isLoaded = false;
-  turned = -Infinity; // when the wheel was turned last
+  turn = { at: -Infinity }; // the last of the wheel, and the window that it left: Back undoes a gesture, not its parts
   log = currentQuery().log; // the logarithmic axes: until it is drawn, those of the address
   isThinned = false; // whether all of it is more than the service sends
 
@@ -157,10 +157,9 @@ export class PlotView {
   }
 
   #scale(factors, from = this.current && this.at(this.current), to = from) {
-    const last = this.turned;
-    this.turned = performance.now();
-    const isStep = this.turned - last > GESTURE_MS; // Back undoes a gesture, not its parts
+    const isStep = performance.now() - this.turn.at > GESTURE_MS || this.turn.window !== JSON.stringify(this.window);
     this.#zoom(scaled(this.plot, this.visible(), this.#positive(this.extent()), factors, from, to), isStep);
+    this.turn = { at: performance.now(), window: JSON.stringify(this.window) };
   }
 
   #zoom(window, isStep = true) {
