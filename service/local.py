@@ -495,8 +495,8 @@ def _ask(process: "subprocess.Popen[str]", spec: str) -> str:
     """The first line of a process that reads a specification; "" if it ends without one."""
     assert process.stdin is not None
     assert process.stdout is not None
-    with suppress(OSError), process.stdin:
-        process.stdin.write(spec)
+    with suppress(OSError):  # the input stays open: the process ends with it
+        print(spec, file=process.stdin, flush=True)
     return process.stdout.readline()
 
 

@@ -12,14 +12,13 @@ the corners of the grid, and cells next to another mode.
 The reference shares closed forms and root search with the sweep. So resting and periodic cells of a soft
 contact are also followed from their last states by `stepped`, which uses neither.
 
-`python -m worker.analysis.audit` compiles the kernels of the sweep on its input and then those of its audit,
-and writes a line after each.
+`python -m worker.analysis.audit` compiles the kernels of the sweep on the first line of its input, then those
+of its audit, and writes a line after each. It ends with its input.
 """
 
 import os
 import sys
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any, Final, NamedTuple
@@ -404,15 +403,14 @@ if __name__ == "__main__":
     from worker.kernel_cache import use_cache
     from worker.work import compile_for as compile_kernels_for
 
-    def end_with(parent: int) -> None:
-        """End this process soon after its parent, which may be killed."""
-        while os.getppid() == parent:
-            time.sleep(0.2)
+    def end_with_input() -> None:
+        """End this process with the one that started it, which may be killed."""
+        sys.stdin.read()
         os._exit(1)
 
-    threading.Thread(target=end_with, args=(os.getppid(),), daemon=True).start()
+    sweep = SweepSpec.from_json(sys.stdin.readline())
+    threading.Thread(target=end_with_input, daemon=True).start()
     use_cache()
-    sweep = SweepSpec.from_json(sys.stdin.read())
     for compile_all in (compile_kernels_for, compile_for):
         compile_all(sweep)
         sys.stdout.write("compiled\n")

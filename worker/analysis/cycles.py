@@ -60,7 +60,7 @@ _LEAST_STEP: Final = 0.05
 #: number of hops after a landing, 1/(1 - restitution).
 _CURVES_SECONDS, _BOUNCY = 6.0, 0.3
 #: The secant rule: its first step along a branch, its last, and the limit on steps.
-_SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 12
+_SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 40
 #: A zero farther along a branch is another event.
 _FAR: Final = 0.2
 #: A curve passes through an event within this, in Gamma and rad.
@@ -335,7 +335,9 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
         if not abs(b) < _FAR:
             return None
         point = ahead(node, b)
-    return admissible(point) if point is not None and happens(kind, point) else None
+    else:  # beyond where two flips meet, the multipliers have a least distance to -1
+        return None
+    return admissible(point) if happens(kind, point) else None
 
 
 def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:

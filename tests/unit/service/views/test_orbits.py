@@ -158,6 +158,15 @@ def test_curves_of_a_contact_pass_through_its_own_folds_and_flips(python_client:
     assert answer.gamma.values[:, [middle, end]] == pytest.approx(np.array(expected), abs=1e-9)
 
 
+def test_curves_of_a_contact_end_before_their_cusp(python_client: Client):
+    """Beyond it a multiplier only comes near 1, and a branch has no folds."""
+    soft = {"modes": "1-1", "model": "soft", "restitution": 0.1, "xi": 0.3}
+    curves = python_client.curves(**soft, omega_start=0.4, omega_stop=1.2, kinds="fold", progress=False)
+    for omega, folds in ((0.528, 2), (0.5299, 0)):
+        events = python_client.orbits(**soft, omega=omega).event_kind.values.tolist()
+        assert events.count("fold") == (curves.omega.max("point") >= omega).sum() == folds
+
+
 def test_curves_are_held_to_a_limit(client: TestClient, monkeypatch: pytest.MonkeyPatch):
     """By their estimate before they are computed, by their points while they are."""
     query = {"xi": 0.05, "omega_start": 0.1, "omega_stop": 0.12, "modes": "1-1,1-2"}
