@@ -298,6 +298,9 @@ def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
     title = ", ".join(f"{SYMBOLS[axis]} = {value:g}" for axis, value in values.items())
     model = branches.attrs["model"]
     ax.set(xlabel=AXES[along], ylabel=FLIGHT, title=title if model == IDEAL else f"{title}: {model}")
+    for style, label in (("-", "stable"), ("--", "unstable"), (":", "not admissible")):
+        ax.plot([], [], color=LINES["branch"], linestyle=style, label=label)
+    legend_beside(ax, ax.get_legend_handles_labels()[0])
 
 
 def classes_of(

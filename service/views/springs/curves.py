@@ -10,7 +10,7 @@ from pydantic import Field
 from kernel.cycles.curves import Curves, Parameter, curves
 from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
-from service.pictures import ATTRACTORS, AXES, IDEAL, values_at
+from service.pictures import ATTRACTORS, AXES, IDEAL, legend_beside, values_at
 from service.views.springs.branches import EVENTS, ROWS, below, closed_form, columns, event_columns, padded
 from service.views.springs.queries import (
     ContactQuery,
@@ -144,18 +144,20 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Draw Γ of every curve, each kind in its colour; dotted where the cycle is not admissible."""
     axes, along = figure.subplots(), result.attrs["along"]
-    kinds = sorted(set(result.curve_kind.values.tolist()))
+    colours = {str(kind): colour for kind, colour in zip(KINDS, ATTRACTORS, strict=False)}
     for i in range(result.sizes["curve"]):
         curve = result.isel(curve=i)
-        colour, admissible = ATTRACTORS[kinds.index(curve.curve_kind.item())], curve.violations.values == 0
+        colour, admissible = colours[curve.curve_kind.item()], curve.violations.values == 0
         for shown, style in ((admissible, "-"), (~admissible, ":")):
             axes.plot(curve[along].values, np.where(shown, curve.gamma.values, np.nan), style, color=colour)
-    for kind, colour in zip(kinds, ATTRACTORS, strict=False):
-        axes.plot([], [], color=colour, label=kind)
-    if kinds:
-        axes.legend(frameon=False)
+    for kind in sorted(set(result.curve_kind.values.tolist())):
+        axes.plot([], [], color=colours[kind], label=kind)
+    legend_beside(axes, axes.get_legend_handles_labels()[0])
     other = "xi" if along == "omega" else "omega"
-    axes.set(xlabel=AXES[along], ylabel=AXES["gamma"], title=values_at(result, [other]))
+    title, model = values_at(result, [other]), result.attrs["model"]
+    title += "" if model == IDEAL else f": {model}"
+    title += "; dotted: not admissible" if (result.violations.where(result.gamma.notnull()) > 0).any() else ""
+    axes.set(xlabel=AXES[along], ylabel=AXES["gamma"], title=title)
 
 
 VIEW: Final = View(
