@@ -20,7 +20,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.monitoring import Metrics
-from service.api.problems import ProblemResponse, internal_error
+from service.api.problems import ProblemResponse
 from service.settings import Settings
 
 log = logging.getLogger("service.requests")
@@ -102,7 +102,8 @@ class Gate:
             log.exception("internal error", extra={"fields": {"id": request_id}})
             if status:
                 raise  # the response has begun: only closing the connection remains
-            await internal_error(request_id)(inner, receive, send_completed)
+            detail = f"internal error; see the service log (request {request_id})"
+            await ProblemResponse(500, detail)(inner, receive, send_completed)
         finally:
             self._record(scope["method"], inner, request_id, status, time.perf_counter() - began)
 

@@ -97,11 +97,6 @@ def problem_response(error: Exception) -> ProblemResponse:
     return ProblemResponse(status, str(error), getattr(error, "problems", ()))
 
 
-def internal_error(request_id: str) -> ProblemResponse:
-    """The response to a defect of the service; the log has the traceback under the request's id."""
-    return ProblemResponse(500, f"internal error; see the service log (request {request_id})")
-
-
 def _damaged(request: Request, error: Any) -> Response:
     """Start the repair of damaged results; 503 with the chunks, or 500 if they cannot be repaired."""
     supervisor = request.app.state.service.manager.supervisor
