@@ -27,13 +27,11 @@ from service.views import (
     threshold,
     trajectory,
 )
-from service.views import plan as plans
 from service.views.selection import MAX_READ, Stored
 from service.views.springs import curves
 from service.views.springs import orbits as spring_orbits
 from service.views.springs import threshold as spring_threshold
 from service.views.view import Estimate, Query, View
-from worker.analysis.planning import Setting
 
 #: The results of a job, by name.
 VIEWS: Final[dict[str, View]] = {
@@ -111,11 +109,6 @@ def answer(
 def motion(spec: trajectory.TrajectorySpec, format: str) -> bytes:
     """Compute the motion of one cell without a job: its bytes. Raises as `trajectory.motion`."""
     return encoded(trajectory.VIEW, None, trajectory.motion(spec), format)
-
-
-def planned(settings: Sequence[Setting], query: plans.PlanQuery, result: Any, format: str) -> bytes:
-    """The bytes of the plan of a sweep."""
-    return encoded(plans.VIEW, None, plans.compute(settings, query, result), format)
 
 
 def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str) -> bytes:

@@ -34,7 +34,7 @@ from service.jobs.on_demand import Pending
 from service.ledger.model import JobRecord
 from service.views import audit
 from service.views import plan as plans
-from service.views.registry import SPRINGS, VIEWS, admit, answer, motion, planned
+from service.views.registry import SPRINGS, VIEWS, admit, answer, encoded, motion
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
@@ -259,4 +259,5 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
     fields = query.model_dump()
     format, plain = fields.pop("format"), plans.PlanQuery(**fields)
     [pilot] = _computed(service, None, plans.parts(settings, plain))
-    return Response(planned(settings, plain, pilot, format), media_type=MEDIA_TYPES[format])
+    content = encoded(plans.VIEW, None, plans.compute(settings, plain, pilot), format)
+    return Response(content, media_type=MEDIA_TYPES[format])
