@@ -64,9 +64,7 @@ class _Result:
 class OnDemandCache:
     """Results computed by workers on request. Its methods may be called from any thread.
 
-    max_pending: limit on the results computed at a time. timeout: seconds that a request waits. jobs_compute:
-    returns the number of jobs' chunks in flight. abandoned: seconds without a request after which a client no
-    longer counts.
+    timeout: seconds that a request waits. jobs_compute: returns the number of jobs' chunks in flight.
 
     At most half of the workers, at least one, compute calls, which an executor begins before the chunks of
     jobs. Beside jobs, calls use up a credit of CREDIT_SECONDS, which grows by SHARE of the workers' time.
@@ -74,15 +72,9 @@ class OnDemandCache:
     """
 
     def __init__(
-        self,
-        executor: Executor,
-        max_pending: int = MAX_PENDING,
-        timeout: float = 2.0,
-        jobs_compute: Callable[[], int] = lambda: 0,
-        abandoned: float = ABANDONED_SECONDS,
+        self, executor: Executor, timeout: float = 2.0, jobs_compute: Callable[[], int] = lambda: 0
     ) -> None:
-        self._executor, self._jobs_compute = executor, jobs_compute
-        self._max_pending, self._timeout, self._abandoned = max_pending, timeout, abandoned
+        self._executor, self._timeout, self._jobs_compute = executor, timeout, jobs_compute
         self._lock = threading.Lock()
         self._results: OrderedDict[Hashable, _Result] = OrderedDict()
         self._waiting: deque[tuple[Future[Any], Sequence[Any]]] = deque()  # parts and their calls
@@ -130,8 +122,8 @@ class OnDemandCache:
         """The result, a new one if none is kept, with the client among its askers. Raises Busy."""
         with self._lock:
             if key not in self._results:
-                if sum(not result.done for result in self._results.values()) >= self._max_pending:
-                    raise Busy(f"{self._max_pending} results are being computed already, which is the limit")
+                if sum(not result.done for result in self._results.values()) >= MAX_PENDING:
+                    raise Busy(f"{MAX_PENDING} results are being computed already, which is the limit")
                 done = [other for other, result in self._results.items() if result.done]
                 for other in done[: max(len(self._results) + 1 - MAX_RESULTS, 0)]:
                     del self._results[other]
@@ -152,13 +144,13 @@ class OnDemandCache:
 
     def _look_later(self) -> None:
         if self._look is None and not self._closed:
-            self._look = threading.Timer(min(LOOK_SECONDS, self._abandoned), self._on_look)
+            self._look = threading.Timer(LOOK_SECONDS, self._on_look)
             self._look.daemon = True
             self._look.start()
 
     def _on_look(self) -> None:
         """Forget the clients that have not asked lately, and begin calls."""
-        until = time.monotonic() - self._abandoned
+        until = time.monotonic() - ABANDONED_SECONDS
         with self._lock:
             self._look = None
             for result in self._results.values():

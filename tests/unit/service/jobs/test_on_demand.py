@@ -59,7 +59,8 @@ def test_a_result_that_nobody_asks_for_any_more_is_given_up(monkeypatch: pytest.
     now = [100.0]
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(on_demand, "LOOK_SECONDS", 0.01)
-    pool, cache = started(timeout=0.05, abandoned=4.0)
+    monkeypatch.setattr(on_demand, "ABANDONED_SECONDS", 4.0)
+    pool, cache = started(timeout=0.05)
     for _ in range(3):
         pending(cache, "key", TWO)
         now[0] += 3.0
@@ -99,8 +100,9 @@ def test_a_result_that_was_lost_or_failed_is_computed_again(error: Exception, ra
     assert len(pool.futures) == 4
 
 
-def test_the_number_of_results_being_computed_is_limited():
-    pool, cache = started(max_pending=2)
+def test_the_number_of_results_being_computed_is_limited(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(on_demand, "MAX_PENDING", 2)
+    pool, cache = started()
     for key in ("one", "two"):
         pending(cache, key, TWO)
     with pytest.raises(Busy, match=r"^2 results are being computed already"):
