@@ -90,15 +90,14 @@ class Rotation:
         self._append(job_id, owner)
         self._jobs[owner] = self._jobs.pop(owner)
 
-    def end_turn(self, estimate: float, taken: float) -> None:
-        """Replace the estimate of a turn by the core-seconds that it took."""
-        self._credit += min(estimate, self.slice_seconds) - taken
+    def count(self, seconds: float, turn: float | None) -> None:
+        """Count the core-seconds of a chunk or slice that came back; turn: its estimate, if it was a turn.
 
-    def earn(self, seconds: float) -> None:
-        """Add the core-seconds of chunks outside the rotation.
-
-        The credit is limited to one turn: missed turns are lost.
+        Others earn credit, limited to one turn: missed turns are lost.
         """
+        if turn is not None:
+            self._credit += min(turn, self.slice_seconds) - seconds
+            return
         earned = seconds * ROTATION_SHARE / (1.0 - ROTATION_SHARE)
         self._credit = min(self._credit + earned, self.slice_seconds)
 
@@ -140,13 +139,6 @@ class Schedule:
         if self.slots <= 0:
             return None
         return self._next_in_turn(active, starting) or self._next_smallest(active, starting)
-
-    def count(self, seconds: float, turn: float | None) -> None:
-        """Count the core-seconds of a chunk or slice that came back; turn: its estimate, if it was a turn."""
-        if turn is None:
-            self.rotation.earn(seconds)
-        else:
-            self.rotation.end_turn(turn, seconds)
 
     def _next_in_turn(self, active: Mapping[str, Job], starting: int) -> Next | None:
         """The job whose turn is due. Turns take at most half of the workers."""

@@ -225,7 +225,7 @@ class Supervisor:
             seconds = report.seconds - report.paused_seconds
         else:
             seconds = min(run.chunk_seconds, self._schedule.rotation.slice_seconds)
-        self._schedule.count(seconds, run.turns.pop(chunk, None))
+        self._schedule.rotation.count(seconds, run.turns.pop(chunk, None))
         del run.in_flight[chunk]
         if report is not None:
             run.unsaved_reports.append(report)

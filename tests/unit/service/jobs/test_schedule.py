@@ -96,7 +96,7 @@ class Cluster:
     def compute(self) -> None:
         """One chunk comes back."""
         job, turn = self.queue.popleft()
-        self.schedule.count(job.chunk_seconds, turn)
+        self.schedule.rotation.count(job.chunk_seconds, turn)
         chunk = job.turns.pop(0) if turn is not None else next(c for c in job.in_flight if c not in job.turns)
         job.in_flight.remove(chunk)
         if not job.chunks and not job.in_flight:
@@ -153,10 +153,10 @@ def test_turns_take_their_share_of_the_time_and_no_more():
     for _ in range(1000):
         if rotation.is_due(0.5):
             rotation.begin_turn("a", 0.5)
-            rotation.end_turn(0.5, 0.8)
+            rotation.count(0.8, turn=0.5)
             taken += 0.8
         else:
-            rotation.earn(0.3)
+            rotation.count(0.3, turn=None)
             outside += 0.3
     assert taken / (taken + outside) == pytest.approx(ROTATION_SHARE, rel=0.02)
 
