@@ -43,7 +43,7 @@ class Budgets:
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._budgets: list[Budget] = []  # the last begun first
-        self._own = set[str]()  # jobs that only budgets asked for
+        self.own = set[str]()  # ids of jobs that only budgets asked for, and so may cancel
 
     def begin(self, spec: Any, seconds: float, owner: str | None) -> "tuple[Submission, Budget]":
         """Begin a budget; its first submission, and the budget. A repeated request joins its budget.
@@ -70,19 +70,11 @@ class Budgets:
         job, accepted = budget.first.result()
         return Submission(job, accepted and joined is None), budget
 
-    def own(self, job_id: str) -> None:
-        """Note that a budget began a job: it may be cancelled when the time is over."""
-        self._own.add(job_id)
-
-    def disown(self, job_id: str) -> None:
-        """Note that somebody asked for a job itself: no budget cancels it."""
-        self._own.discard(job_id)
-
     def may_cancel(self, job_id: str) -> bool:
         """Whether only one budget needs a job."""
         with self._lock:
             users = [budget for budget in self._budgets if budget.computing == job_id]
-        return job_id in self._own and len(users) <= 1
+        return job_id in self.own and len(users) <= 1
 
     def of(self, job_id: str, budget_id: str | None = None) -> "Budget | None":
         """The budget with this id that has this job as a level; by default the newest with this level."""
@@ -150,7 +142,7 @@ class Budget:
             return False
         self.levels, self.computing = (*self.levels, job.id), job.id
         if accepted:
-            self._budgets.own(job.id)
+            self._budgets.own.add(job.id)
         if not self.first.done():
             self.first.set_result(first)
         record = self._ended(job, deadline)

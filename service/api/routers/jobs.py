@@ -107,7 +107,7 @@ def _submitted(
     """The response to a submission. budget: that has begun it; without one a user wants the job itself."""
     job, accepted = submission
     if budget is None:
-        service.budgets.disown(job.id)  # no budget cancels it
+        service.budgets.own.discard(job.id)  # no budget cancels it
         budget = service.budgets.of(job.id)
     headers = {"Location": f"/v1/jobs/{job.id}"}
     if accepted:
