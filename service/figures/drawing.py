@@ -72,18 +72,14 @@ class Caption:
     shows: str
     claims: tuple[Claim, ...]
 
-    def claims_that(self, verdict: Verdict) -> str:
-        """The claims of one verdict, joined; empty if there are none."""
-        text = "; ".join(claim.text for claim in self.claims if claim.verdict is verdict)
-        return f"{text}." if text else ""
-
     @property
     def paragraphs(self) -> list[tuple[str, str]]:
-        """Headings and texts; paragraphs without text are left out."""
-        verdicts = [(f"{verdict}:", self.claims_that(verdict)) for verdict in Verdict]
-        return [
-            (heading, text) for heading, text in ((f"Fig. {self.number}.", self.shows), *verdicts) if text
-        ]
+        """Headings and texts: what is shown, then the claims of each verdict, if there are any."""
+        paragraphs = [(f"Fig. {self.number}.", self.shows)]
+        for verdict in Verdict:
+            if texts := [claim.text for claim in self.claims if claim.verdict is verdict]:
+                paragraphs.append((f"{verdict}:", f"{'; '.join(texts)}."))
+        return paragraphs
 
     def __str__(self) -> str:
         return "\n".join(f"{heading} {text}" for heading, text in self.paragraphs)
