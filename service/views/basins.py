@@ -11,10 +11,10 @@ from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
 from service.pictures import ATTRACTORS, UNDECIDED, legend_beside, values_at
 from service.views.selection import Stored, attractor_label, nearest_values, read_stored
-from service.views.variables import VARIABLES, coordinate, dataset, of_attractor, variable
+from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.attractors import EXPONENT_WINDOW
-from worker.basins.schema import SIDES
+from worker.basins.schema import LIFETIME, SIDES
 from worker.basins.schema import basin_arrays as stored_arrays
 from worker.basins.specification import Basin, BasinSpec
 from worker.study import Array
@@ -23,6 +23,16 @@ from worker.sweep import AXES
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+_OF_START: Final = row(
+    "attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches", comment="0: undecided"
+)
+_LABEL: Final = row("attractor_label", ("attractor",), "U", "what the attractor does")
+_LIFETIME: Final = {
+    "long_name": "life of aperiodic motion that was seen to end", "units": "plate periods",
+    "comment": "NaN: no such motion was seen to end",
+}  # fmt: skip
 
 
 class BasinQuery(Query):
@@ -49,7 +59,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
         row.name: variable((), values[:count] if "attractor" in row.dims else values, row)
         for row, values in ((_as_result(row), stored[row.name]) for row in rows if row.name != "outcome")
     }
-    data["attractor_label"] = variable((), _labels(spec, stored, count), VARIABLES["attractor_label"])
+    data["attractor_label"] = variable((), _labels(spec, stored, count), _LABEL)
     lifetime = data["attractor_lifetime"]
     lifetime.values[np.isinf(lifetime.values)] = np.nan
     row_attrs, column_attrs = SIDES[plane.plane]
@@ -66,12 +76,15 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
     return dataset(data, coords, attrs)
 
 
-def _as_result(row: Array) -> Array:
-    """A stored array under the name that it has in this result."""
-    if row.name == "attractor":
-        return VARIABLES["attractor_of_start"]
-    named = of_attractor(row)
-    return VARIABLES.get(named.name, named)
+def _as_result(array: Array) -> Array:
+    """A stored array as the result has it: `fraction` (id) is `attractor_fraction` (attractor)."""
+    if array.name == "attractor":
+        return _OF_START
+    if "id" not in array.dims:
+        return array
+    attrs = _LIFETIME if array.name == LIFETIME.name else array.attrs
+    dims = tuple("attractor" if dim == "id" else dim for dim in array.dims)
+    return array._replace(name=f"attractor_{array.name.removeprefix('attractor_')}", dims=dims, attrs=attrs)
 
 
 def _labels(spec: BasinSpec, stored: Mapping[str, NDArray[Any]], count: int) -> NDArray[np.str_]:
@@ -145,6 +158,6 @@ _STORED: Final = stored_arrays(
 )
 VIEW: Final = View(
     "basins", "Basin of a cell", BasinSpec, BasinQuery, compute, estimate,
-    variables=(*(_as_result(row) for row in _STORED if row.name != "outcome"), VARIABLES["attractor_label"]),
+    variables=(*(_as_result(row) for row in _STORED if row.name != "outcome"), _LABEL),
     rows="attractor_fraction", draw=draw,
 )  # fmt: skip

@@ -15,7 +15,7 @@ from kernel.params import Outcome
 from service.errors import InvalidRequest
 from service.pictures import by_direction, draw_modes, set_scales
 from service.views import selection
-from service.views.variables import VARIABLES, cells_dataset, coordinate, variable
+from service.views.variables import cells_dataset, coordinate, row, variable
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import COMPUTED, OUTCOME
@@ -39,6 +39,10 @@ _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
     *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, selection.LABEL, COMPUTED,
     schema.LYAPUNOV, schema.LYAPUNOV_ERROR, *schema.CERTIFICATE,
+)  # fmt: skip
+_HYSTERESIS: Final = row(
+    "hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
+    flag_meanings="none other_mode other_flights",
 )  # fmt: skip
 
 Window = dict[str, slice]
@@ -105,7 +109,7 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
     result = cells_dataset(cells, coords, _ROWS, attrs)
     if query.hysteresis:
         compared, complete = _hysteresis(study, xi.index, window, query.min_flight)
-        result["hysteresis"] = variable(_PLANE, compared, VARIABLES["hysteresis"])
+        result["hysteresis"] = variable(_PLANE, compared, _HYSTERESIS)
         result.attrs["complete"] &= complete
     return result
 
@@ -258,5 +262,5 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
 
 VIEW: Final = View(
     "modes", "Mode map", SweepSpec, ModesQuery, compute, estimate,
-    variables=(*_ROWS, VARIABLES["hysteresis"]), rows="outcome", draw=draw, size=(11.0, 4.2),
+    variables=(*_ROWS, _HYSTERESIS), rows="outcome", draw=draw, size=(11.0, 4.2),
 )  # fmt: skip

@@ -1,7 +1,4 @@
-"""The variables of results: names, dimensions, types, units and long names, once; and Datasets of them.
-
-Stored variables come from `worker.sweep.schema` and `worker.basins.schema`. This module adds derived ones.
-"""
+"""The variables of results, with dimensions, types, units and long names; and Datasets of them."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
@@ -10,20 +7,8 @@ import numpy as np
 import xarray
 from numpy.typing import NDArray
 
-from worker.basins.schema import LIFETIME, OF_ATTRACTORS
 from worker.study import Array
 from worker.study.layout import CELL_DIMS, COORDINATES
-
-#: The stored dimension of the attractors of a cell. Results call it `attractor`.
-_STORED_ATTRACTOR: Final = "id"
-
-
-def of_attractor(array: Array) -> Array:
-    """A stored array as results name it: `fraction` (id) is `attractor_fraction` (attractor)."""
-    if _STORED_ATTRACTOR not in array.dims:
-        return array
-    dims = tuple("attractor" if dim == _STORED_ATTRACTOR else dim for dim in array.dims)
-    return array._replace(name=f"attractor_{array.name.removeprefix('attractor_')}", dims=dims)
 
 
 def row(
@@ -32,18 +17,6 @@ def row(
     """A variable over cells and the dimensions `dims`."""
     return Array(name, (*CELL_DIMS, *dims), dtype, 0, {"long_name": long_name, "units": units, **attrs})
 
-
-_DERIVED: Final = (
-    row("attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches",
-         comment="0: undecided"),
-    row("hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],
-         flag_meanings="none other_mode other_flights"),
-    row("attractor_label", ("attractor",), "U", "what the attractor does"),
-    of_attractor(LIFETIME)._replace(attrs={
-        "long_name": "life of aperiodic motion that was seen to end", "units": "plate periods",
-        "comment": "NaN: no such motion was seen to end",
-    }),
-)  # fmt: skip
 
 #: The energy balance of a cycle.
 ENERGY: Final = tuple(
@@ -58,11 +31,6 @@ ENERGY: Final = tuple(
         ("weight", "momentum that gravity takes, 4π periods/Γ", "m A ω"),
     )
 )
-
-#: Every variable by name.
-VARIABLES: Final[Mapping[str, Array]] = {
-    array.name: array for array in (*map(of_attractor, OF_ATTRACTORS), *_DERIVED)
-}
 
 
 def variable(dims: tuple[str, ...], values: Any, row: Array) -> xarray.Variable:
