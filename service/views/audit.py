@@ -161,7 +161,7 @@ def answers_of(
         "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
         | {
             "threshold": _of_thresholds(drawn["threshold"], sizes["thresholds"]),
-            "area": _of_area(drawn["area"]),
+            "area": _answer(_masks(drawn["area"], 0.0)["mode"], drawn["area"]["undecided"], ENDLESS),
             "integrator": _of_integrator(drawn["integrator"], sizes, query.tolerance),
         }
     }
@@ -294,13 +294,6 @@ def _of_thresholds(table: _Table, thresholds: int) -> _Answer:
         for mask in (bouncing & ~table["undecided"], table["undecided"])
     )
     return _answer(changed, undecided & ~changed, thresholds)
-
-
-def _of_area(table: _Table) -> _Answer:
-    """The answer for points anywhere in the plane."""
-    if not len(table["outcome"]):
-        return _NOT_ASKED
-    return _answer(_masks(table, 0.0)["mode"], table["undecided"], ENDLESS)
 
 
 def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) -> _Answer:
