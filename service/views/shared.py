@@ -15,13 +15,11 @@ from math import prod
 from pathlib import Path
 from typing import Any, Final
 
-import xarray
-
 from service.software import software
 from service.views import diagram, modes, threshold
 from service.views.registry import encoded
 from service.views.selection import Stored
-from service.views.view import View
+from service.views.view import Query, View
 from worker.study.layout import REFERENCE
 from worker.sweep import AXES, SweepSpec
 
@@ -44,10 +42,15 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
     """
     lines, left_out = _lines(study)
     spec = study.spec
+    cells = prod(spec.shape)
+    progress = {
+        "cells_done": cells, "cells_total": cells, "chunks_done": 1, "chunks_total": 1, "percent": 100,
+        "eta_seconds": None, "cells_settling": 0, "cells_computed": None, "cells_needed": None,
+    }  # fmt: skip
     job = {
         "id": study.job, "name": spec.name, "state": "done", "spec": json.loads(attributes["spec"]),
         "error": None, "kernel_version": study.kernel_version, "notice": None,
-        "choice": json.loads(attributes.get("choice", "null")), "created": None, "progress": _progress(spec),
+        "choice": json.loads(attributes.get("choice", "null")), "created": None, "progress": progress,
     }  # fmt: skip
     answers = {"diagram": lines, "modes": _maps(study), "threshold": _thresholds(study)}
     missing = "" if study.complete else "The sweep was not complete: cells are missing"
@@ -93,9 +96,9 @@ def _address(content: bytes, media_type: str) -> str:
     return f"data:{media_type};base64,{b64encode(content).decode()}"
 
 
-def _answer(view: View, study: Stored[SweepSpec], result: xarray.Dataset, **about: Any) -> dict[str, Any]:
+def _answer(view: View, study: Stored[SweepSpec], query: Query, **about: Any) -> dict[str, Any]:
     """An answer as the page reads it, compressed, with the parameters that identify it."""
-    content = encoded(view, study, result, "bin")
+    content = encoded(view, study, view.compute(study, query), "bin")
     return {**about, "data": b64encode(gzip.compress(content, 6, mtime=0)).decode()}
 
 
@@ -108,7 +111,7 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
     lines = []
     for place in places[::step]:
         query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
-        lines.append(_answer(diagram.VIEW, study, diagram.compute(study, query), **place))
+        lines.append(_answer(diagram.VIEW, study, query, **place))
     while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
         lines, step = lines[::2], 2 * step
     thinned = [f"1 line in {step}" if step > 1 else "", f"1 cell in {every} of a line" if every > 1 else ""]
@@ -135,7 +138,7 @@ def _maps(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
     maps = []
     for xi, direction in product(spec.axis_values("xi")[:MOST_LINES].tolist(), spec.directions):
         query = modes.ModesQuery(xi=xi, direction=direction, every=every, hysteresis=directions > 1)
-        maps.append(_answer(modes.VIEW, study, modes.compute(study, query), xi=xi, direction=direction))
+        maps.append(_answer(modes.VIEW, study, query, xi=xi, direction=direction))
     return maps
 
 
@@ -145,15 +148,7 @@ def _thresholds(study: Stored[SweepSpec]) -> list[dict[str, Any]]:
         return []
     values = study.spec.axis_values("xi")[:MOST_LINES].tolist()
     queries = [(xi, threshold.ThresholdQuery(xi=xi, predict="none")) for xi in values]
-    return [_answer(threshold.VIEW, study, threshold.compute(study, query), xi=xi) for xi, query in queries]
-
-
-def _progress(spec: SweepSpec) -> dict[str, Any]:
-    cells = prod(spec.shape)
-    return {
-        "cells_done": cells, "cells_total": cells, "chunks_done": 1, "chunks_total": 1, "percent": 100,
-        "eta_seconds": None, "cells_settling": 0, "cells_computed": None, "cells_needed": None,
-    }  # fmt: skip
+    return [_answer(threshold.VIEW, study, query, xi=xi) for xi, query in queries]
 
 
 def _still(study: Stored[SweepSpec], attributes: Mapping[str, Any], note: str) -> str:
