@@ -155,10 +155,12 @@ def write(export: Export, path: Path) -> None:
             if export.study.complete:
                 numbers = sharing.packed(url, export.stored, export.plan, name, export.runs)
             path.write_text(shared.page(export.study, export.attributes, numbers))
-            return
-        (_write_netcdf if export.format == "nc" else _write_parquet)(
-            export, _blocks(export, path.parent), path
-        )
+        elif export.format == "nc":
+            _write_netcdf(export, _blocks(export, path.parent), path)
+        else:
+            blocks = _blocks(export, path.parent)
+            batches = chain.from_iterable(_record_batches(export, *block) for block in blocks)
+            write_parquet(path, batches, {**export.attributes, **export.study.attributes})
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise NoSpace(f"no space left for the export file: {error.strerror}") from error
@@ -252,16 +254,10 @@ def _define(file: Any, export: Export) -> None:
     file.attrs.update({**export.attributes, **export.study.attributes})
 
 
-def _write_parquet(export: Export, blocks: Iterable[_Block], path: Path) -> None:
-    """A row for each cell, each attractor of a cell, or each flight."""
-    batches = chain.from_iterable(_record_batches(export, *block) for block in blocks)
-    write_parquet(path, batches, {**export.attributes, **export.study.attributes})
-
-
 def _record_batches(
     export: Export, cells: Mapping[str, slice], arrays: Mapping[str, NDArray[Any]]
 ) -> Iterator[Any]:
-    """The rows of a chunk as record batches."""
+    """The rows of a chunk: of its cells, of attractors of a cell, or of flights."""
     coords = {}
     for name, values in export.stored.coordinates.items():
         part = values[cells.get(name, slice(None))]
