@@ -49,19 +49,15 @@ def source() -> str:
 
 
 def _class(name: str, owner: str, views: dict[str, View]) -> str:
-    lines = [
-        f"        {_literal(name)}: {_literal((view.formats, _printed(view)))},\n"
-        for name, view in views.items()
-    ]
+    lines = []
+    for view in views.values():
+        printed = view.printed or (() if view.rows is None else (view.rows,))
+        lines.append(f"        {_literal(view.name)}: {_literal((view.formats, printed))},\n")
     return (
         f'\n\nclass {name}(Methods):\n    """A method for each result of {owner}."""\n\n'
         f"    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {{\n{''.join(lines)}    }}\n"
         + "".join(map(_method, views.values()))
     )
-
-
-def _printed(view: View) -> tuple[str, ...]:
-    return view.printed or (() if view.rows is None else (view.rows,))
 
 
 def _literal(value: Any) -> str:
