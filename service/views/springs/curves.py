@@ -122,11 +122,9 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     contact = query.contact()
     modes = parse_modes(query.modes)
     springs = [(value, fixed) if along is Parameter.OMEGA else (fixed, value) for value in span]
-    for _, periods in modes:
-        for spring in springs:
-            grid_length(*spring, periods)
-    omega, xi = springs[0]
-    closed_form = [_SECONDS * grid_length(omega, xi, mode.periods) for mode in modes]
+    lengths = [[grid_length(*spring, mode.periods) for spring in springs] for mode in modes]
+    omega, _ = springs[0]
+    closed_form = [_SECONDS * at_start for at_start, _ in lengths]
     followed = [] if contact is None else [curves_seconds(contact)] * len(modes)
     seconds = np.cumsum(followed or closed_form)
     if seconds[-1] > MAX_SECONDS:
