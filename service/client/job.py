@@ -181,7 +181,10 @@ class Job(ResultReader, ResultMethods, JobStatus):
         with display_job(progress) as show:
             for _ in until_ended([self], timeout, show):
                 pass
-        raise_unless_done(self)
+        if self.state == "failed":
+            raise errors.JobFailed(self)
+        if self.state == "cancelled":
+            raise errors.JobCancelled(self)
         return self
 
     def export(self, path: str | PathLike[str], *, layout: ExportLayout = "cells") -> Path:
@@ -339,14 +342,6 @@ def _length(axis: object) -> int:
     if isinstance(axis, Mapping):
         return int(axis["num"])
     return len(axis) if isinstance(axis, list) else 1
-
-
-def raise_unless_done(job: JobStatus) -> None:
-    """Raise JobFailed or JobCancelled for a finished job that is not done."""
-    if job.state == "failed":
-        raise errors.JobFailed(job)
-    if job.state == "cancelled":
-        raise errors.JobCancelled(job)
 
 
 def until_ended(
