@@ -174,17 +174,13 @@ def job_html(job: JobStatus) -> str:
         "cells": f"<progress value='{progress.percent:g}' max='100'></progress> "
         f"{progress.cells_done:,} of {progress.cells_total:,} ({progress.whole_percent}%)"
         f"{computed_note(job)}{time_left(job)}",
+        "kernel": escape(job.compiling),
+        "notice": escape(job.notice or ""),
+        "settling": escape(settling_note(job)),
+        "error": job.error and f"<pre style='margin:0'>{escape(job.error)}</pre>",
     }
-    if job.compiling:
-        rows["kernel"] = escape(job.compiling)
-    if job.notice:
-        rows["notice"] = escape(job.notice)
-    if note := settling_note(job):
-        rows["settling"] = escape(note)
-    if job.error:
-        rows["error"] = f"<pre style='margin:0'>{escape(job.error)}</pre>"
     body = "".join(
-        f"<tr><th style='text-align:left'>{name}</th><td>{row}</td></tr>" for name, row in rows.items()
+        f"<tr><th style='text-align:left'>{name}</th><td>{row}</td></tr>" for name, row in rows.items() if row
     )
     return f"<table><caption><b>{escape(job.name or 'sweep')}</b></caption>{body}</table>"
 
