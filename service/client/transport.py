@@ -98,7 +98,9 @@ class Transport:
         self.url, self._timeout = _valid_url(url), timeout
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token in (None, "", AUTO):  # an empty variable means no token
-            token = _own_token(httpx2.URL(self.url))
+            address = httpx2.URL(self.url)
+            # of this user's service, if it listens there
+            token = find_token(address.port) if address.port and is_loopback(address.host) else None
         self.token = token
         if token is not None:
             self._headers["Authorization"] = f"Bearer {header_value('the token', token)}"
@@ -372,8 +374,3 @@ def _valid_url(url: str) -> str:
     if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo:
         raise ServiceUnreachable(re.sub("(?s).*@", "...@", url), "expected an address like http://HOST:PORT")
     return url.rstrip("/")
-
-
-def _own_token(url: httpx2.URL) -> str | None:
-    """The token that this user's service at a loopback address has created, if any."""
-    return find_token(url.port) if url.port is not None and is_loopback(url.host) else None
