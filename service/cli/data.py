@@ -1,12 +1,11 @@
 """The commands on the data folder itself, which need no service: backup, restore, adopt, doctor."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
-from click.core import ParameterSource
 
-from service.cli.options import data_option, url_option
+from service.cli.options import data_option, names_url, url_option
 from service.tokens import find_service
 
 if TYPE_CHECKING:
@@ -108,9 +107,7 @@ def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
     if job is not None and not verify:
         raise click.UsageError("JOB needs --verify")
     settings = _settings(data)
-    source = click.get_current_context().get_parameter_source("url")
-    is_of_folder = data is not None and source is not ParameterSource.COMMANDLINE
-    address = find_service(settings.data) if is_of_folder else url
+    address = find_service(settings.data) if data is not None and not names_url() else url
     all_ok = True
     for finding in checks.verify(settings, job) if verify else checks.examine(settings, address):
         click.echo(f"{'ok' if finding.ok else '!!':<4}{finding.subject:<18}{finding.text}")
@@ -125,5 +122,4 @@ COMMANDS = (backup, restore, adopt, doctor)
 def _settings(data: str | None) -> "Settings":
     from service.settings import read_settings
 
-    options: dict[str, Any] = {"data": data}
-    return read_settings(**options)
+    return read_settings(data=data)
