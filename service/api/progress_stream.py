@@ -1,7 +1,7 @@
 """Progress events: one ledger query at a time serves all listeners; none of them holds a thread."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Final
 
 from starlette.concurrency import run_in_threadpool
@@ -58,7 +58,5 @@ class ProgressStream:
     async def _query(self) -> _Found:
         async with self._querying:
             asked, self._asked, self._next = self._asked, set(), None
-            return await run_in_threadpool(self._find_all, asked)
-
-    def _find_all(self, job_ids: Iterable[str]) -> _Found:
-        return {job_id: self._ledger.find(job_id) for job_id in job_ids}  # other readers come in between
+            find = self._ledger.find  # one by one: other readers come in between
+            return await run_in_threadpool(lambda: {job_id: find(job_id) for job_id in asked})
