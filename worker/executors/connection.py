@@ -1,6 +1,5 @@
 """The connection to a Dask scheduler, restored when the scheduler dies, freezes or is replaced."""
 
-import asyncio
 import contextlib
 import logging
 import socket
@@ -143,17 +142,14 @@ class SchedulerConnection:
         for topic in (TOPIC, ROSTER):
             self._client.subscribe_topic(topic, lambda event: self._on_event(event[1]))
         try:
-            self._client.sync(self._register_plugin)
+            register = self._client.register_plugin  # all workers must answer
+            self._client.sync(register, self._plugin, callback_timeout=self._timeout)
         except TimeoutError:  # they have it once they answer
             log.warning("not all workers answer: those that hang cannot be judged, and get no chunk")
         with contextlib.suppress(OSError, ValueError, KeyError):  # it refuses to run code, or is gone
             self._client.register_plugin(Demand())
             self._check_settings()
         self._registered = True
-
-    async def _register_plugin(self) -> None:
-        """Register the workers' plugin, which all workers must answer. Raises TimeoutError."""
-        await asyncio.wait_for(self._client.register_plugin(self._plugin), self._timeout)
 
     def _check_settings(self) -> None:
         """Warn about settings that the scheduler lacks. Results are right without them."""
