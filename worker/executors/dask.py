@@ -293,7 +293,7 @@ class Dask:
 
     def _death(self, task: _Task, address: str) -> ExecutorError:
         """Distinguish a task that was running when its last worker died from one waiting there."""
-        if self._roster.is_leaving(address):
+        if address in self._roster.leaving:
             return WorkerLeft(f"the worker {self._roster.describe(address)} was told to leave")
         if task.chunk is None or task.worker == address:
             return WorkerDied("the worker process that computed it died")

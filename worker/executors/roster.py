@@ -17,7 +17,7 @@ class Roster:
     def __init__(self) -> None:
         self.refused: dict[str, str] = {}  # workers refused now or when last present, and why
         self._hosts: OrderedDict[Hashable, str] = OrderedDict()
-        self._leaving: OrderedDict[Hashable, None] = OrderedDict()
+        self.leaving: OrderedDict[Hashable, None] = OrderedDict()  # workers that have reported this
         self._failed_on: OrderedDict[Hashable, set[str]] = OrderedDict()  # workers, by chunk
 
     def note(self, event: dict[str, Any]) -> None:
@@ -33,16 +33,12 @@ class Roster:
             if self.refused.pop(address, None) is not None:
                 log.info("worker %s is admitted now", self.describe(address))
         elif "leaving" in event:
-            _remember(self._leaving, address, None)
+            _remember(self.leaving, address, None)
 
     def keep(self, present: Collection[str]) -> None:
         """Forget refused workers that are not `present`."""
         for address in self.refused.keys() - present:
             self.refused.pop(address, None)
-
-    def is_leaving(self, address: str) -> bool:
-        """Whether a worker has reported that it must leave."""
-        return address in self._leaving
 
     def describe(self, address: str) -> str:
         """A worker's address, and its host if known."""
