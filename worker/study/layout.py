@@ -121,7 +121,8 @@ class Layout:
 
     def shape(self, array: Array) -> tuple[int, ...]:
         """Length of an array along each of its dimensions."""
-        return tuple(self._length(dim) for dim in array.dims)
+        lengths = {**self.extra_sizes, **{dim: len(values) for dim, values in self.coordinates.items()}}
+        return tuple(lengths[dim] for dim in array.dims)
 
     def chunk_shape(self, array: Array) -> tuple[int, ...]:
         """Length of an array's chunk along each of its dimensions."""
@@ -180,9 +181,6 @@ class Layout:
         if name not in self.coordinates and name not in self.codes and name not in self.names:
             return key == _METADATA_KEY
         return rest == _METADATA_KEY or _CHUNK_KEY.fullmatch(rest) is not None
-
-    def _length(self, dim: str) -> int:
-        return len(self.coordinates[dim]) if dim in self.coordinates else self.extra_sizes[dim]
 
 
 def _code(name: str, values: NDArray[Any], attrs: Mapping[str, Any]) -> Code:
