@@ -50,7 +50,8 @@ class Ledger(AbstractContextManager["Ledger"]):
         self._write_lock, self._read_lock = threading.Lock(), threading.Lock()
         self._damage: str | None = None  # why nothing is written until the next start
         self._refused: str | None = None  # why the last transaction could not begin or write
-        self._check_stores: Callable[[], None] = lambda: None
+        #: Raises LedgerUnavailable while nothing may be stored; `check` calls it.
+        self.check_stores: Callable[[], None] = lambda: None
         self._stores_fault: str | None = None  # what is wrong with the stores, as of the last check
         self._closed = False
         with ExitStack() as opened:
@@ -110,7 +111,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         Called at every heartbeat, and before anything is stored.
         """
         try:
-            self._check_stores()  # without a lock: a file system that hangs stops only this thread
+            self.check_stores()  # without a lock: a file system that hangs stops only this thread
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)
@@ -118,10 +119,6 @@ class Ledger(AbstractContextManager["Ledger"]):
             if self._writer.in_transaction:
                 (version,) = self._writer.execute("PRAGMA user_version").fetchone()
                 self._writer.execute(f"PRAGMA user_version = {version}")  # writes a page
-
-    def guard(self, check_stores: Callable[[], None]) -> None:
-        """Make `check` call `check_stores`, which raises LedgerUnavailable while nothing may be stored."""
-        self._check_stores = check_stores
 
     def fault(self) -> str | None:
         """Why the ledger could not be read or written last; None if it could. Waits for no writer.

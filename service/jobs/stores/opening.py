@@ -170,5 +170,5 @@ def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
     except BaseException:
         ledger.close()
         raise
-    ledger.guard(marker.check)
+    ledger.check_stores = marker.check
     return ledger
