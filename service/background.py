@@ -82,12 +82,11 @@ class InThisProcess:
 class Processes:
     """At most `count` processes, each started when all others are busy; they end with this process.
 
-    A process ends if it holds more than `most_kept` bytes after an answer. After `idle_seconds` without work
-    all but one end: the next answer need not wait for a process to start.
+    A process ends if it holds more than MOST_KEPT bytes after an answer. After IDLE_SECONDS without work all
+    but one end: the next answer need not wait for a process to start.
     """
 
-    def __init__(self, count: int, *, most_kept: int = MOST_KEPT, idle_seconds: float = IDLE_SECONDS) -> None:
-        self._most_kept, self._idle_seconds = most_kept, idle_seconds
+    def __init__(self, count: int) -> None:
         self._changed = threading.Condition()
         self._may_start = count
         self._idle: list[tuple[float, _Process]] = []  # idle since, the latest last
@@ -106,10 +105,10 @@ class Processes:
             if client.left:
                 raise EOFError("it was stopped")
         except (EOFError, OSError) as error:
-            held = self._most_kept + 1
+            held = MOST_KEPT + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
         except BaseException:  # such as an answer that cannot be unpickled: the pipe may hold the rest
-            held = self._most_kept + 1
+            held = MOST_KEPT + 1
             raise
         finally:
             self._put_back(process, held)
@@ -142,7 +141,7 @@ class Processes:
     def _put_back(self, process: "_Process | None", held: int) -> None:
         """Free the process, or the place of one that could not be started."""
         with self._changed:
-            if process is not None and held <= self._most_kept and not self._closed:
+            if process is not None and held <= MOST_KEPT and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
                 self._look_later()
@@ -152,7 +151,7 @@ class Processes:
     def _look_later(self) -> None:
         """Look again when the next process has been idle for long; one timer at a time."""
         if self._look is None and len(self._idle) > 1:
-            due = self._idle[0][0] + self._idle_seconds
+            due = self._idle[0][0] + IDLE_SECONDS
             self._look = threading.Timer(max(due - time.monotonic(), 0.0), self._end_idle)
             self._look.daemon = True
             self._look.start()
@@ -160,7 +159,7 @@ class Processes:
     def _end_idle(self) -> None:
         """End the processes that have been idle for long, but not the one that was busy last."""
         with self._changed:
-            self._look, until = None, time.monotonic() - self._idle_seconds
+            self._look, until = None, time.monotonic() - IDLE_SECONDS
             long = [process for since, process in self._idle[:-1] if since <= until]
             self._idle = [(since, process) for since, process in self._idle if process not in long]
             self._look_later()

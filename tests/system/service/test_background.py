@@ -21,6 +21,7 @@ from scripted import DEADLINE, Held, wait_for
 from served import listening
 
 from kernel.numerics.cache import compiling
+from service import background
 from service.api import capacity
 from service.api.app import create_app
 from service.background import NICER, Asker, InThisProcess, Processes
@@ -85,7 +86,7 @@ def hold(megabytes: int) -> int:
 
 
 def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
-    with closing(Processes(1, most_kept=400 << 20)) as processes:
+    with closing(Processes(1)) as processes:
         first = processes.run(hold, 1)
         assert processes.run(hold, 500) == first
         child = psutil.Process(processes.run(os.getpid))
@@ -93,8 +94,9 @@ def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
         assert not psutil.pid_exists(first)
 
 
-def test_idle_processes_end_by_one_thread_for_all_answers():
-    with closing(Processes(2, idle_seconds=2.0)) as processes, ThreadPoolExecutor(2) as pool:
+def test_idle_processes_end_by_one_thread_for_all_answers(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(background, "IDLE_SECONDS", 2.0)
+    with closing(Processes(2)) as processes, ThreadPoolExecutor(2) as pool:
         list(pool.map(processes.run, [time.sleep] * 2, [0.5] * 2))
         assert len(processes._started) == 2
         before = threading.active_count()
