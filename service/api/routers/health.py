@@ -3,6 +3,7 @@
 import os
 
 from fastapi import APIRouter, HTTPException, Response
+from prometheus_client import generate_latest
 
 from service.api.dependencies import ServiceDep
 from service.api.schemas import Health, ReadinessView, SoftwareView, problem_responses
@@ -42,4 +43,4 @@ def get_versions(service: ServiceDep) -> SoftwareView:
 )
 def get_metrics(service: ServiceDep) -> Response:
     """Requests, jobs and readiness, in Prometheus's text format."""
-    return Response(service.metrics.text(), media_type="text/plain; version=0.0.4")
+    return Response(generate_latest(service.metrics.registry), media_type="text/plain; version=0.0.4")
