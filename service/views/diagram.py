@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
@@ -70,13 +71,17 @@ _OF_BRANCHES: Final = {
 }
 
 
-def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
-    """The branches in a diagram along gamma, if any.
+def _branches(spec: SweepSpec, query: DiagramQuery) -> tuple[ModuleType, Any] | None:
+    """The module whose result has the branches in a diagram, and its query; None without branches.
 
-    Of the sweep's contact, if its cycles can be followed, else of an ideal plate. Raises InvalidRequest.
+    Along gamma of the sweep's contact, if its cycles can be followed, else of an ideal plate; along another
+    axis those of its cells. Raises InvalidRequest.
     """
-    if not query.branches or query.along != "gamma":
+    if not query.branches:
         return None
+    if query.along != "gamma":
+        line = query.model_dump(include={"along", *AXES, "direction"})
+        return cell_orbits, cell_orbits.CellsQuery(**line)
     model = spec.model
     if not isinstance(model, Rigid | Soft | Stepped):
         raise InvalidRequest.of("branches", "are of rigid, soft and stepped contacts")
@@ -87,22 +92,16 @@ def _orbits(spec: SweepSpec, query: DiagramQuery) -> orbits.OrbitsQuery | None:
     window = query.model_dump(include=set(orbits.WINDOW)) | {"start": shown[0], "stop": shown[-1]}
     own_or_window = own if model.has_own_cycles else window
     top = min(_BEYOND * float(gamma[-1]), MAX_GAMMA)
-    return orbits.OrbitsQuery(**fixed, **own_or_window, modes=_CYCLES, gamma_max=top)
-
-
-def _cells(query: DiagramQuery) -> cell_orbits.CellsQuery | None:
-    """The branches in a diagram along another axis, if any: of its cells."""
-    if not query.branches or query.along == "gamma":
-        return None
-    return cell_orbits.CellsQuery(**query.model_dump(include={"along", *AXES, "direction"}))
+    return orbits, orbits.OrbitsQuery(**fixed, **own_or_window, modes=_CYCLES, gamma_max=top)
 
 
 def parts(study: selection.Stored[SweepSpec], query: DiagramQuery) -> Sequence[Call]:
     """The branches that workers follow."""
-    if (cells := _cells(query)) is not None:
-        return cell_orbits.parts(study, cells)
-    wanted = _orbits(study.spec, query)
-    return [] if wanted is None else orbits.parts(None, wanted)
+    if (branches := _branches(study.spec, query)) is None:
+        return []
+    of, wanted = branches
+    calls: Sequence[Call] = of.parts(study, wanted)
+    return calls
 
 
 def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: Any) -> xarray.Dataset:
@@ -130,11 +129,10 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     attrs |= {name: value for name, value in ends.items() if value is not None}
     attrs |= query.model_dump(include={"hide", "log"}, exclude_none=True)
     result = cells_dataset(cells, coords, rows_of(spec), attrs)
-    if (wanted := _orbits(spec, query)) is not None:
-        is_own = wanted.model is not None or spec.model == Rigid()
-        result = _with_branches(result, orbits.compute(None, wanted, *followed), is_own)
-    if (line := _cells(query)) is not None:
-        result = _with_branches(result, cell_orbits.compute(study, line, *followed), is_own=True)
+    if (branches := _branches(spec, query)) is not None:
+        of, wanted = branches
+        is_own = of is cell_orbits or wanted.model is not None or spec.model == Rigid()
+        result = _with_branches(result, of.compute(study, wanted, *followed), is_own)
     if query.caption:
         result.attrs["caption"] = _caption(spec, result)
     return result
@@ -192,10 +190,9 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
     selection.fixed_axes(spec, query)
     selection.check_order(query, "flight_start", "flight_stop")
-    wanted, cells = _orbits(spec, query), _cells(query)
+    branches = _branches(spec, query)
     try:
-        followed = Estimate({}) if wanted is None else orbits.estimate(None, wanted)
-        followed = followed if cells is None else cell_orbits.estimate(spec, cells)
+        followed = Estimate({}) if branches is None else branches[0].estimate(spec, branches[1])
     except InvalidRequest as error:
         raise InvalidRequest.of("branches", f"are not to be had: {error}") from error
     directions = selection.directions_of(spec, query.direction)
