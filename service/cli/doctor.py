@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Final, NamedTuple
@@ -38,17 +38,13 @@ class Finding(NamedTuple):
 
 def examine(settings: Settings, url: str | None) -> list[Finding]:
     """All findings; a check that fails is a finding, too. url: of the service, None without one."""
-    parts: tuple[Callable[[Settings], Iterator[Finding]], ...] = (_machine, _cache, _disk, _ledger, _stores)
-    findings = [finding for part in parts for finding in _contained(part, settings)]
-    none = Finding("service", f"none on {settings.data}")
-    return [*findings, _service(url) if url else none]
-
-
-def _contained(part: Callable[[Settings], Iterator[Finding]], settings: Settings) -> list[Finding]:
-    try:
-        return list(part(settings))
-    except Exception as error:  # noqa: BLE001 - every error is a finding
-        return [Finding(part.__name__.strip("_"), str(error) or type(error).__name__, ok=False)]
+    findings: list[Finding] = []
+    for part in (_machine, _cache, _disk, _ledger, _stores):
+        try:
+            findings += list(part(settings))
+        except Exception as error:  # noqa: BLE001 - every error is a finding
+            findings.append(Finding(part.__name__.strip("_"), str(error) or type(error).__name__, ok=False))
+    return [*findings, _service(url) if url else Finding("service", f"none on {settings.data}")]
 
 
 def _machine(_: Settings) -> Iterator[Finding]:
