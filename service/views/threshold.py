@@ -236,15 +236,13 @@ def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, N
 
 def _refined(data: dict[str, NDArray[Any]], refined: Sequence[Refined]) -> dict[str, NDArray[Any]]:
     """The refined thresholds in place of those on the grid; missing for a job that has not begun."""
-    thresholds: dict[str, NDArray[Any]] = {}
     if refined:
-        for name in Refined._fields:
-            thresholds[name] = np.concatenate([getattr(part, name) for part in refined])
-    else:
-        for name in ("up", "down"):
-            status = data[f"{name}_status"]
-            thresholds[name] = np.full(len(status), np.nan)
-            thresholds[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
+        return {name: np.concatenate([getattr(part, name) for part in refined]) for name in Refined._fields}
+    thresholds: dict[str, NDArray[Any]] = {}
+    for name in ("up", "down"):
+        status = data[f"{name}_status"]
+        thresholds[name] = np.full(len(status), np.nan)
+        thresholds[f"{name}_status"] = np.where(status == Status.FOUND, Status.MISSING.value, status)
     return thresholds
 
 
