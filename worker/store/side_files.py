@@ -77,8 +77,8 @@ def _flag(url: str) -> tuple[str, str]:
     return folder, f"{name}.cancelled"
 
 
-def sweep_leftovers(url: str, *, done: bool = False) -> int:
-    """Remove partial files of killed writers and return their number.
+def sweep_leftovers(url: str, *, done: bool = False) -> None:
+    """Remove partial files of killed writers.
 
     A task of an earlier start that is still writing fails; nobody takes its result. Buckets have no
     partial objects: writing one is atomic. done: all chunks are, and checkpoints, which tasks of an earlier
@@ -87,13 +87,12 @@ def sweep_leftovers(url: str, *, done: bool = False) -> int:
     for chunk in checkpoints_in(url) if done else ():
         remove_checkpoint(url, chunk)
     if backend.in_bucket(url):
-        return 0
+        return
     partial = Path(url, backend.PARTIAL)
     leftovers = [] if partial.is_symlink() else list(partial.glob("*.partial"))
     leftovers += Path(url).glob(".*.partial")  # of checkpoints
     for path in leftovers:
         path.unlink(missing_ok=True)
-    return len(leftovers)
 
 
 def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
