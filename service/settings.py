@@ -37,7 +37,6 @@ LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 def _split(value: Any) -> Any:
-    """Split a text at its commas."""
     names = value.split(",") if isinstance(value, str) else value
     return frozenset(str(name).strip().lower() for name in names) - {""}
 

@@ -108,7 +108,6 @@ def _damaged(request: Request, error: Any) -> Response:
 
 
 def _pending(_: Request, pending: Any) -> Response:
-    """202 with the progress of the workers."""
     percent = round(100.0 * pending.done / pending.total, 1)
     progress = PartsView(parts_done=pending.done, parts_total=pending.total, percent=percent)
     content = PendingView(progress=progress).model_dump_json()

@@ -190,7 +190,6 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         return Job(self._transport, json_object(response), response)
 
     def _whole_id(self, beginning: str) -> str:
-        """The only id with this beginning."""
         ids = [job.id for job in self.jobs(search=beginning) if job.id.startswith(beginning)]
         if not ids:
             raise _not_found(f"no job has an id that begins with {beginning}")

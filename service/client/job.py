@@ -338,7 +338,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
 
 
 def _length(axis: object) -> int:
-    """Number of values of a specification's axis."""
     if isinstance(axis, Mapping):
         return int(axis["num"])
     return len(axis) if isinstance(axis, list) else 1

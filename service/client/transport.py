@@ -354,7 +354,6 @@ def header_value(name: str, text: str) -> str:
 
 
 def _parts_computed(response: httpx2.Response) -> tuple[int, int]:
-    """The numbers of computed parts and of all parts."""
     try:
         progress = json_object(response)["progress"]
         return int(progress["parts_done"]), int(progress["parts_total"])

@@ -57,7 +57,6 @@ def _compile_motions(client: Client) -> None:
 
 
 def _drawing(number: int, client: Client, jobs: Sequence[Job]) -> "Drawing":
-    """The figure of this number, from its jobs."""
     from service.figures import flights, onsets, schematics
 
     draw: Mapping[int, Callable[..., Drawing]] = {

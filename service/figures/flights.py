@@ -95,7 +95,6 @@ def _claim(gamma: float, computed: str, condition: str) -> Claim:
 
 
 def _mode(diagram: xarray.Dataset, gamma: float) -> str:
-    """The mode, or the outcome, at a value of Γ."""
     cell = diagram.sel(gamma=gamma, method="nearest")
     if int(cell.outcome) == Outcome.PERIODIC:
         return named(int(cell.bounces), int(cell.periods))

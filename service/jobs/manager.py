@@ -227,7 +227,6 @@ class JobManager:
                 ledger.finish(job, state, time.time(), reason)
 
     def _is_repeated(self, ledger: WriteTransaction, job: NewJob, key: str | None) -> bool:
-        """Whether this request was made before with this key."""
         ledger.forget_keys(time.time() - self._settings.key_seconds)
         used = ledger.key(key) if key is not None else None
         if used not in (None, _fingerprint(job)):

@@ -178,7 +178,6 @@ def _prepared(
 
 
 def _bound(settings: Settings) -> socket.socket:
-    """A socket bound to the address of the settings."""
     host, port = settings.host, settings.port
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET

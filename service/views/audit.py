@@ -171,7 +171,6 @@ def answers_of(
 
 
 def _drawn(table: "_Table", name: str) -> "_Table":
-    """The drawn cells of a set."""
     own = table["set"] == audit.SETS.index(name)
     return {field: values[own] for field, values in table.items()}
 
@@ -308,7 +307,6 @@ def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) ->
 
 
 def _changed_cells(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
-    """The variables of the cells that have changed, by name."""
     masks = _masks(table, tolerance)
     changed = np.flatnonzero(masks["mode"] | masks["flights"] | table["undecided"])
     named = {
@@ -368,7 +366,6 @@ def _contact(study: Stored[SweepSpec]) -> Any:
 
 
 def _cells(spec: SweepSpec, query: AuditQuery) -> int:
-    """Cells of each sample."""
     if query.cells is not None:
         return query.cells
     seconds = prod(spec.shape) * cell_seconds(spec)
@@ -377,7 +374,6 @@ def _cells(spec: SweepSpec, query: AuditQuery) -> int:
 
 
 def _followed(spec: SweepSpec, query: AuditQuery) -> int:
-    """Cells that a time stepper follows."""
     if query.followed is not None or not (seconds := audit.followed_seconds(spec)):
         return query.followed or 0
     return int(min(FOLLOWED_SECONDS / seconds, FOLLOWED))

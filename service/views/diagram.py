@@ -162,7 +162,6 @@ def rows_of(spec: SweepSpec) -> Iterator[Array]:
 def _read_line(
     study: selection.Stored[SweepSpec], direction: str, indices: Any, min_flight: float | None
 ) -> dict[str, NDArray[Any]]:
-    """The variables of the cells in one direction."""
     spec = study.spec
     names = [row.name for row in rows_of(spec) if row is not selection.LABEL]
     arrays = selection.read_direction(study, names, direction, indices)

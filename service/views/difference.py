@@ -44,7 +44,6 @@ _APART: Final = "No cell of this sweep is within the axes of the other."
 
 
 def _other(array: Array) -> Array:
-    """A variable of the other sweep."""
     attrs = array.attrs | {"long_name": f"{array.attrs['long_name']}, of the other sweep"}
     return array._replace(name=f"other_{array.name}", attrs=attrs)
 

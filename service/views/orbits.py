@@ -135,7 +135,6 @@ def compute(
 
 
 def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
-    """Branches and events of one spring of a study of orbits."""
     spec, top = study.spec, query.gamma_max or study.spec.gamma_max
     spring = selection.nearest_values(spec, query, DIMS)
     x = selection.read_stored(

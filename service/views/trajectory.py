@@ -55,7 +55,6 @@ _LONGEST: Final = 2.0 * np.pi * MAX_START_PERIODS
 
 
 def _state(value: object) -> object:
-    """A list of six as a tuple."""
     if not isinstance(value, list | tuple) or len(value) != len(STATE_FIELDS):
         raise BrokenRuleError("", f"must be a list of {len(STATE_FIELDS)} numbers: {', '.join(STATE_FIELDS)}")
     return tuple(value)

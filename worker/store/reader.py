@@ -198,7 +198,6 @@ def read_file(url: str, key: str, forms: Mapping[str, ArrayForm], *, complete: b
 
 
 def _in_grid(form: ArrayForm, coords: ChunkCoords) -> bool:
-    """Whether an array has a chunk at these coordinates."""
     counts = [-(-n // size) for n, size in zip(form.shape, form.chunks, strict=True)]
     return len(coords) == len(counts) and all(i < count for i, count in zip(coords, counts, strict=True))
 

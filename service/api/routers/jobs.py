@@ -236,12 +236,10 @@ async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[S
 def _job_response(
     job: JobRecord, status: int, headers: dict[str, str] | None = None, **about: Any
 ) -> Response:
-    """The job as `job_view` describes it."""
     return Response(job_view(job, **about).model_dump_json(), status, headers, "application/json")
 
 
 def _budget_view(budget: Budget | None) -> schemas.BudgetView | None:
-    """How far a budget is."""
     return None if budget is None else schemas.BudgetView.model_validate(budget)
 
 
