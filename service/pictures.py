@@ -165,14 +165,9 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
         plate = "" if diagram.attrs.get("own_branches", True) else ", ideal plate"
         for style, label in (("-", f"stable cycle{plate}"), ("--", f"unstable cycle{plate}")):
             axes.plot([], [], style, color=LINES["branch"], label=label, markersize=0.0)
-    if along == "gamma" and _has_spring(diagram):
+    if along == "gamma" and diagram.attrs.get("model") != "ball":  # which has no spring
         _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
     axes.set(xlabel=AXES[along], ylabel=FLIGHT)
-
-
-def _has_spring(result: xarray.Dataset) -> bool:
-    """Whether Eq. 25 is of what a result shows; a ball has no spring."""
-    return result.attrs.get("model") != "ball"
 
 
 def draw_incomplete(axes: "Axes", reason: str) -> None:
@@ -453,7 +448,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
         if _is_geometric(modes[axis].values):
             _make_logarithmic(ax, name)
     handles = _entries(cells, classes)
-    if _has_spring(modes):
+    if modes.attrs.get("model") != "ball":
         handles += _draw_threshold_curve(ax, modes)
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():
         ax.pcolor(
