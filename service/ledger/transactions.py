@@ -5,7 +5,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.ledger.model import (
@@ -248,24 +248,6 @@ class WriteTransaction(ReadTransaction):
         """Set columns of a job, without a check of transitions."""
         settings = ", ".join(f"{name} = ?" for name in columns)
         self._execute(f"UPDATE jobs SET {settings} WHERE seq = ?", *columns.values(), job.seq)
-
-    def adopt(
-        self,
-        job: NewJob,
-        store: str,
-        reports: Sequence[ChunkReport],
-        choice: str | None,
-        now: float,
-        error: str,
-        **labels: str,
-    ) -> None:
-        """Insert a job with stored results: done if `reports` has every chunk, else failed with `error`."""
-        self.insert(job, now, store)
-        record = cast(JobRecord, self.find(job.id))
-        complete = len(reports) == job.chunks_total
-        state, reason = (JobState.DONE, None) if complete else (JobState.FAILED, error)
-        self.update(record, state=state, started=now, finished=now, choice=choice, error=reason, **labels)
-        self.mark_done(record, reports)
 
     def delete(self, job: JobRecord) -> None:
         """Forget a job, its keys, and its role as a replacement; record that its store must be removed.

@@ -8,7 +8,7 @@ import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from service.errors import NotAdoptable
 from service.jobs.prepare import new_job
 from service.jobs.stores.opening import find_unknown, id_of
 from service.ledger.ledger import Ledger
-from service.ledger.model import JobRecord, NewJob
+from service.ledger.model import JobRecord, JobState, NewJob
 from service.settings import Settings
 from worker import store
 from worker.analysis.model_selection import ModelChoice, resolved
@@ -58,15 +58,20 @@ def adopt(ledger: Ledger, settings: Settings, named: str, **labels: str) -> JobR
         reason = f"it has no attribute {error}" if missing else str(error).removeprefix(f"{url}: ")
         raise NotAdoptable(f"{url} cannot be adopted: {reason}") from error
     reports = _whole_chunks(url, layout, plan)
-    summary = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
+    now, state, lacking = time.time(), JobState.DONE, None
+    if len(reports) < job.chunks_total:
+        summary = f"{len(reports)} of {job.chunks_total} chunks were found whole in its store"
+        state, lacking = JobState.FAILED, f"adopted: {summary}; resume it for the rest"
     with ledger.writing() as writing:
         if writing.find(job_id) is not None:
             raise known
-        reason = f"adopted: {summary}; resume it for the rest"
-        writing.adopt(job, name, reports, choice, time.time(), reason, **labels)
-        adopted = writing.find(job_id)
-    assert adopted is not None
-    return adopted
+        writing.insert(job, now, name)
+        adopted = cast(JobRecord, writing.find(job_id))
+        writing.update(
+            adopted, state=state, started=now, finished=now, choice=choice, error=lacking, **labels
+        )
+        writing.mark_done(adopted, reports)
+        return cast(JobRecord, writing.find(job_id))
 
 
 def _contents(url: str, job_id: str) -> tuple[NewJob, Layout, Plan, str | None]:
