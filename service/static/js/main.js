@@ -2,7 +2,7 @@
 
 import { dropped } from "./form/pasted.js";
 import { connection, shared, takeToken } from "./lib/api.js";
-import { currentAddress, discardPending, navigate, replace } from "./lib/address.js";
+import { currentAddress, discardPending, link, navigate } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
 import { h } from "./lib/dom.js";
 
@@ -24,7 +24,7 @@ let leaving = new AbortController(); // aborted when the page is left
 
 async function showAddress() {
   discardPending();
-  if (shared && currentAddress().path[1] !== shared.job.id) replace(["job", shared.job.id]);
+  if (shared && currentAddress().path[1] !== shared.job.id) history.replaceState(null, "", link(["job", shared.job.id]));
   const address = currentAddress();
   const [name = "", id] = address.path;
   const wanted = [name, name === "job" && id, address.query.jobs].join();

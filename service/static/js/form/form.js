@@ -1,6 +1,6 @@
 // The form for a new study of any kind. The service validates it and estimates its cost while it is edited.
 
-import { addressValue, currentQuery, link, navigate, replace, setQuery } from "../lib/address.js";
+import { addressValue, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
@@ -202,7 +202,7 @@ export class SweepForm {
       const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body: this.#read() });
       announce("Submitted.");
       if (this.signal.aborted) return;
-      replace(["new"], { from: job.id }); // the browser's back button returns to what was submitted
+      history.replaceState(null, "", link(["new"], { from: job.id })); // the browser's back button returns to what was submitted
       navigate(["job", job.id]);
     } catch (error) {
       this.#showError(error);

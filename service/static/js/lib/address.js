@@ -47,12 +47,6 @@ export function setQuery(changes, isStep = false) {
   queryChanges.dispatchEvent(new Event("change"));
 }
 
-/** Replace the whole address without a new history entry. */
-export function replace(path, query = {}) {
-  discardPending();
-  history.replaceState(null, "", link(path, query));
-}
-
 /** The query parameters, including changes not written yet. */
 export const currentQuery = () => (isPending() ? pending : currentAddress()).query;
 
