@@ -45,6 +45,10 @@ class AttractorView extends PlaneView {
   /** The attractors of a cell, those of most drops first. */
   attractorsOf = ({ column, row = 0 }) => this.cells[this.indexOf({ column, row })];
 
+  cellOf({ column, row = 0, k = 0 }) {
+    return this.attractorsOf({ column, row })[k] ? { ...super.cellOf({ column, row }), direction: startName("attractor", k + 1) } : null;
+  }
+
   showLegend() {
     const colourless = this.attractors.filter(({ id }) => id > COLOURED);
     const others = colourless.length > 1 ? colourless : [];
@@ -148,10 +152,6 @@ export class AttractorDiagram extends AttractorView {
   at({ column, k }) {
     return [this.columns[column], this.attractorsOf({ column })[k]?.times[0]];
   }
-
-  cellOf({ column, k }) {
-    return this.attractorsOf({ column })[k] ? { gamma: this.columns[column], omega: this.rows[0], xi: this.xi, direction: startName("attractor", k + 1) } : null;
-  }
 }
 
 /** The map: the attractor that most drops reach, hatched where several coexist. */
@@ -185,10 +185,6 @@ export class AttractorMap extends AttractorView {
     const colours = this.cells.map(([first]) => rgba32(first ? colourOf(first) : surface));
     const lines = this.cells.map(([first, second]) => second && rgba32(colourOf(second) === colourOf(first) ? text : colourOf(second)));
     this.drawCells(ctx, box, (cell) => colours[cell], isHatched ? (cell, x, y) => (hatchAt(x, y) < 0 ? null : lines[cell]) : null);
-  }
-
-  cellOf(cell) {
-    return this.attractorsOf(cell).length ? { ...super.cellOf(cell), direction: startName("attractor", 1) } : null;
   }
 
   columnsOfTable() {
