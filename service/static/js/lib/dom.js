@@ -110,13 +110,13 @@ export function debounced(milliseconds, work) {
 const ABORT_AFTER_MS = 150;
 
 /** `work(signal)`, one run at a time. Calls made during a run become one, which starts when the run ends; the run is
- * aborted through its signal if it takes ABORT_AFTER_MS longer. */
+ * aborted through its signal if it takes ABORT_AFTER_MS longer, unless the call `isPatient`. */
 export function latest(work) {
   let running = null; // the controller of the current run
   let isDue = false;
-  return async () => {
+  return async (isPatient = false) => {
     isDue = true;
-    if (running) return setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
+    if (running) return isPatient || setTimeout((stale) => stale.abort(), ABORT_AFTER_MS, running);
     while (isDue) {
       isDue = false;
       running = new AbortController();

@@ -201,8 +201,7 @@ export class PlotView {
 
   /** Of a running job each second: what is loading is shown first, however long it takes. */
   update() {
-    this.isOutdated = this.plot.element.hasAttribute("aria-busy");
-    if (!this.isOutdated) this.load();
+    this.load(true);
   }
 
   showLegend() {
@@ -257,8 +256,6 @@ export class PlotView {
       this.#showError(error);
     } finally {
       this.plot.element.removeAttribute("aria-busy");
-      if (this.isOutdated && !this.signal.aborted) this.load();
-      this.isOutdated = false;
     }
   }
 
