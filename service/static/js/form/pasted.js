@@ -13,7 +13,7 @@ export const dropped = { file: null };
 export class PastedSpecification {
   constructor(taken) {
     this.take = debounced(DELAY_MS, () => this.#take(taken));
-    this.text = h("textarea", { rows: 12, spellcheck: "false", "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
+    this.text = h("textarea", { rows: 12, spellcheck: false, "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
     this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
       h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it. A file can be dropped anywhere on the page, also a sweep that was shared."),

@@ -2,15 +2,14 @@
 
 import { isHandledElsewhere, requestBlob } from "./api.js";
 
-const PROPERTIES = new Set(["className", "textContent", "value", "checked", "disabled", "hidden", "open", "selected", "style"]);
-
-/** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element; null and false children are left out. */
+/** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element with these properties, or else attributes;
+ * null and false children are left out. */
 export function h(tag, props = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(props)) {
     if (value === undefined || value === null) continue;
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
-    else if (PROPERTIES.has(name)) element[name] = value;
+    else if (name in element) element[name] = value;
     else if (value !== false) element.setAttribute(name, value === true ? "" : value);
   }
   element.append(...children.flat(2).filter((child) => child !== null && child !== undefined && child !== false));
