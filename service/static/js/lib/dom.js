@@ -72,7 +72,9 @@ export function downloads(files, note) {
   const failed = (error) => { if (!isHandledElsewhere(error)) status.textContent = error.message; };
   const button = ([label, name, make]) => workButton(label, async () => {
     status.textContent = "";
-    save(await make(), name());
+    const address = URL.createObjectURL(await make());
+    h("a", { href: address, download: name() }).click();
+    setTimeout(() => URL.revokeObjectURL(address), 60_000);
   }, failed, { className: "quiet", "aria-label": `Download ${label}` });
   return h("div", { className: "downloads", role: "group", "aria-label": "Downloads" },
     h("span", {}, "Download"), files.map(button), note, status);
@@ -85,12 +87,6 @@ export const resultFiles = (job, content, formats, path, options) => formats.map
 export function fileName(job, content, extension) {
   const name = job.name.toLowerCase().replace(/[^\p{L}\p{N}]+/gu, "-").slice(0, 80).replace(/^-|-$/g, "");
   return `${name || job.id.slice(0, 8)}-${content}.${extension}`;
-}
-
-function save(blob, name) {
-  const address = URL.createObjectURL(blob);
-  h("a", { href: address, download: name }).click();
-  setTimeout(() => URL.revokeObjectURL(address), 60_000);
 }
 
 export function announce(text) {
