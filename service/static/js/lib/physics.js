@@ -17,8 +17,6 @@ export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 
 /** Codes of kernel.params.Outcome. */
 export const OUTCOME = { missing: 0, periodic: 1, aperiodic: 2, atRest: 3, unresolved: 4, diverged: 5, settling: 6 };
-/** Codes of kernel.labels beyond those of outcomes: cells told apart by their Lyapunov exponents. */
-export const LABEL = { quasiPeriodic: 7, chaotic: 8, unstable: 9 };
 /** Codes of service.views.modes.Hysteresis: how the two directions of a cell compare. */
 export const HYSTERESIS = { none: 0, mode: 1, flights: 2 };
 

@@ -1,7 +1,7 @@
 // Colours: the theme of the style sheet, and the meanings of `palette.json`, which the service's pictures have too.
 
 import palette from "../../palette.json" with { type: "json" };
-import { LABEL, LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
+import { LABEL_NAMES, OUTCOME, outcomeText } from "../lib/physics.js";
 
 const DARK = "screen and (prefers-color-scheme: dark)"; // paper is white
 const PROPERTIES = ["surface", "text", "muted", "border", ...Object.keys(palette.lines)];
@@ -49,7 +49,7 @@ const FIRST = LABEL_NAMES.length; // the class of the first shade of the first h
 const MARGIN = CLASSES.length - MARGINS.length; // the first class of certified cells
 /** Order of the legend: at rest, modes by period, the cells without a mode, the rest. */
 const ORDER = [OUTCOME.atRest, ...Array.from({ length: CLASSES.length - FIRST }, (_, i) => FIRST + i),
-  LABEL.unstable, LABEL.quasiPeriodic, LABEL.chaotic, OUTCOME.aperiodic, OUTCOME.settling, OUTCOME.unresolved, OUTCOME.diverged, OUTCOME.missing];
+  ...["unstable", "quasi-periodic", "chaotic", "aperiodic", "settling", "unresolved", "diverged", "missing"].map((name) => LABEL_NAMES.indexOf(name))];
 
 function classOf(label, bounces, periods, multiplier) {
   if (Number.isFinite(multiplier)) return MARGIN + MARGINS.findIndex((margin) => multiplier < margin);
