@@ -157,11 +157,8 @@ function nearestComputed(outcome, columns) {
 }
 
 function drawThresholdCurve(ctx, box, xi) {
-  const n = Math.max(2, Math.round(box.height / 2));
-  const points = Array.from({ length: n }, (_, i) => {
-    const y = box.top + (i * box.height) / (n - 1);
-    return [box.x.pixel(threshold(box.y.value(y), xi)), y];
-  });
+  const ys = Array.from({ length: box.height / 2 + 2 }, (_, i) => box.top + 2 * i);
+  const points = ys.map((y) => [box.x.pixel(threshold(box.y.value(y), xi)), y]);
   polyline(ctx, box.theme.surface, 4, points);
   polyline(ctx, box.theme.text, 1.8, points, CURVE_DASH);
 }

@@ -80,11 +80,8 @@ export class Thresholds extends PlotView {
   }
 
   #draw(ctx, box) {
-    const n = Math.round(box.width / 2);
-    const curve = Array.from({ length: n + 1 }, (_, i) => {
-      const x = box.left + (i * box.width) / n;
-      return [x, box.y.pixel(threshold(box.x.value(x), this.xi))];
-    });
+    const xs = Array.from({ length: box.width / 2 + 2 }, (_, i) => box.left + 2 * i);
+    const curve = xs.map((x) => [x, box.y.pixel(threshold(box.x.value(x), this.xi))]);
     if (hasSpring(this.job)) polyline(ctx, box.theme.threshold, 1.6, curve, CURVE_DASH);
     const edges = { 1: box.y.pixel(this.grid.gamma[0]), [-1]: box.y.pixel(this.grid.gamma.at(-1)) };
     for (const { direction, way } of this.series) {
