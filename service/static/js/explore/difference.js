@@ -40,16 +40,11 @@ export class Difference extends PlaneView {
   }
 
   content() {
-    return {
-      ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
-      title: this.title,
-      layers: [(ctx, box) => this.#paint(ctx, box)],
+    const draw = (ctx, box) => {
+      const [colours, same] = [this.legend.colours(box.theme), rgba32(box.theme.surface)];
+      this.drawCells(ctx, box, (cell) => (this.differs[cell] === OTHER_MODE ? colours[this.classes.ofCell[cell]] : same));
     };
-  }
-
-  #paint(ctx, box) {
-    const [colours, same] = [this.legend.colours(box.theme), rgba32(box.theme.surface)];
-    this.drawCells(ctx, box, (cell) => (this.differs[cell] === OTHER_MODE ? colours[this.classes.ofCell[cell]] : same));
+    return { ...this.scales(this.axisOf("gamma"), this.axisOf("omega")), title: this.title, layers: [draw] };
   }
 
   isHidden(cell) {

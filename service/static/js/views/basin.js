@@ -53,17 +53,16 @@ export class Basin extends PlaneView {
   content() {
     const { plane, complete } = this.basin.attrs;
     const [[across], [along]] = AXES_OF[plane];
+    const draw = (ctx, box) => {
+      const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor, box.theme.dark)))];
+      this.drawCells(ctx, box, (cell) => colours[this.map[cell]]);
+    };
     return {
       ...this.scales({ label: across }, { label: along }),
       title: this.textOf(this.cell),
       message: complete ? null : "This cell is not computed yet",
-      layers: [(ctx, box) => this.#drawStarts(ctx, box)],
+      layers: [draw],
     };
-  }
-
-  #drawStarts(ctx, box) {
-    const colours = [rgba32(box.theme.surface), ...this.attractors.map(({ attractor }) => rgba32(attractorColour(attractor, box.theme.dark)))];
-    this.drawCells(ctx, box, (cell) => colours[this.map[cell]]);
   }
 
   positionOf({ direction }) {
