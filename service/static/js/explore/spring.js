@@ -45,7 +45,10 @@ export class Explore extends Cycles {
     const frame = buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Explore a spring"), sweep], line: [words] });
     super(frame.panel, { sources: [SPRING], signal, bar: frame.controls, onSelect: (cell) => setQuery(cellQuery(cell)) }, HINT);
     Object.assign(this, { sweep, words, motion: new TrajectoryPanel(frame.trajectorySection, signal) });
-    this.move = latest(() => this.#move()); // not aborted: the service computes it anyway
+    this.move = latest(async () => { // not aborted: the service computes it anyway
+      await this.motion.show({ ...SPRING.job, spec: { model: contactOf() } }, { ...this.place, direction: this.direction });
+      this.plot.redraw();
+    });
     queryChanges.addEventListener("change", () => this.#follow(), { signal });
     this.#follow();
   }
@@ -143,10 +146,5 @@ export class Explore extends Cycles {
     this.sweep.href = link(["new"], { ...this.place, gamma: null, ...contactQuery(contactOf()) });
     this.describeThresholds();
     this.move();
-  }
-
-  async #move() {
-    await this.motion.show({ ...SPRING.job, spec: { model: contactOf() } }, { ...this.place, direction: this.direction });
-    this.plot.redraw();
   }
 }

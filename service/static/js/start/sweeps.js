@@ -156,7 +156,12 @@ export class SweepList {
   #row() {
     let job;
     const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
-    const pin = workButton("", () => this.#pin(job), (error) => this.showError(error), { className: "quiet pin" });
+    const changePin = async () => {
+      const action = job.pinned ? "unpin" : "pin";
+      await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }).finally(() => this.refresh());
+      announce(`${titleOf(job)} is ${action}ned.`);
+    };
+    const pin = workButton("", changePin, (error) => this.showError(error), { className: "quiet pin" });
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem", hidden: true });
@@ -195,12 +200,6 @@ export class SweepList {
     this.bulk.hidden = !selected.length;
     this.compare.disabled = selected.length < 2 || areTooMany;
     this.remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
-  }
-
-  async #pin(job) {
-    const action = job.pinned ? "unpin" : "pin";
-    await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }).finally(() => this.refresh());
-    announce(`${titleOf(job)} is ${action}ned.`);
   }
 
   /** Delete the selected sweeps that are finished, after a confirmation that names them. */

@@ -38,7 +38,11 @@ export class JobView {
     this.settling = h("p", { className: "notice settling", hidden: true });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
-    const rename = workButton("✎", () => this.#rename(), failed, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
+    const ask = async () => {
+      const name = prompt("Name of the sweep", this.job.name);
+      if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
+    };
+    const rename = workButton("✎", ask, failed, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
     const duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     const { progress, actions, about, notice } = this.summary;
     const [bar, line] = [[this.heading, progress, h("div", { className: "actions" }, duplicate, rename, actions)], [about, notice, this.settling]];
@@ -129,11 +133,6 @@ export class JobView {
     this.#pollAfter(POLL_MS / 2);
   }
 
-  async #rename() {
-    const name = prompt("Name of the sweep", this.job.name);
-    if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
-  }
-
   #showTab() {
     const { path, query } = currentAddress();
     const tabs = this.#tabs();
@@ -156,13 +155,12 @@ export class JobView {
     const isBeside = current === "modes" && WIDE.matches; // the diagram at the Ω under the pointer
     this.secondPanel.hidden = !isBeside;
     this.beside = isBeside ? new Diagram(this.secondPanel, { ...common, isBeside, isFollower: true }) : null;
-    this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: (view, gamma, omega) => this.#pointBeside(view, gamma, omega) });
-  }
-
-  #pointBeside(view, gamma, omega) {
-    if (!this.beside || gamma === undefined) return;
-    setQuery({ omega: addressValue(view.rows[nearestIndex(view.rows, omega)]) });
-    this.beside.follow(gamma, 0);
+    const pointBeside = (view, gamma, omega) => {
+      if (!this.beside || gamma === undefined) return;
+      setQuery({ omega: addressValue(view.rows[nearestIndex(view.rows, omega)]) });
+      this.beside.follow(gamma, 0);
+    };
+    this.view = new View(this.panel, { ...common, bar: this.controls, onPoint: pointBeside });
   }
 
   #tabs() {

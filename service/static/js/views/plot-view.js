@@ -113,10 +113,6 @@ export class PlotView {
     return { ...window, x0: lowest("x", window.x0, window.x1), y0: lowest("y", window.y0, window.y1) };
   }
 
-  #toggleLog(toggled) {
-    setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
-  }
-
   /** Build the view with its `controls`, and start loading; the column beside the plot has `shown`: legend, options, notes,
    * and ends with `below`, and a table of `events`: its label and a function that reads it (see PagedTable). */
   build(root, { controls, label, hint, shown = [], below = [], events }) {
@@ -130,7 +126,8 @@ export class PlotView {
     this.bar?.replaceChildren(line);
     const figure = h("figure", {});
     this.unzoom = button("Show everything", () => this.#zoom(null), { hidden: !this.window });
-    this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => this.#toggleLog(axis), { hidden: !this.windowed, disabled: true, title: `Logarithmic ${axis} axis` }));
+    const toggleLog = (toggled) => setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
+    this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => toggleLog(axis), { hidden: !this.windowed, disabled: true, title: `Logarithmic ${axis} axis` }));
     const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
