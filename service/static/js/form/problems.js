@@ -6,7 +6,8 @@ import { COMMA } from "./fields.js";
 
 /** Show the errors of a problem at their fields, and those without a visible field in the problem line `general`; null clears them. */
 export function showProblems(form, general, problem) {
-  clear(form);
+  for (const input of form.querySelectorAll("[aria-invalid]")) ["aria-invalid", "aria-describedby"].forEach((name) => input.removeAttribute(name));
+  form.querySelectorAll(".error").forEach((element) => element.remove());
   const others = [];
   for (const error of problem?.errors ?? []) {
     const input = inputOf(form, error.field);
@@ -15,11 +16,6 @@ export function showProblems(form, general, problem) {
   }
   const withoutErrors = problem?.errors?.length ? null : problem;
   general.show(others.length ? new Error(others.join("; ")) : withoutErrors);
-}
-
-function clear(form) {
-  for (const input of form.querySelectorAll("[aria-invalid]")) ["aria-invalid", "aria-describedby"].forEach((name) => input.removeAttribute(name));
-  form.querySelectorAll(".error").forEach((element) => element.remove());
 }
 
 /** The visible input of a field such as "model.restitution", or of what holds it: "gamma[3]" is shown at gamma. */

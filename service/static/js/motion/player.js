@@ -88,7 +88,10 @@ function drawInstant(canvas, heights, phase, { canvas: { clientHeight: height },
   const ctx = resizedContext(canvas, width, height);
   const { plate, lower, upper, inFlight } = heightsAt(heights, phase);
   const middle = width / 2;
-  drawPlate(ctx, middle, y(plate), width, colours);
+  const half = Math.min(width / 2 - 8, 60); // of the plate
+  ctx.fillStyle = colours.text;
+  ctx.fillRect(middle - half, y(plate), 2 * half, 5);
+  ctx.fillRect(middle - 2, y(plate), 4, 26);
   if (Number.isNaN(lower)) return;
   // The height of a mass is that of its lower edge, so that contact with the plate is visible.
   const lowerY = y(lower) - RADIUS;
@@ -102,13 +105,6 @@ function drawInstant(canvas, heights, phase, { canvas: { clientHeight: height },
   ctx.font = `italic ${Math.min(13, width / 6.5)}px ${colours.serif}`;
   ctx.textAlign = "center";
   ctx.fillText(inFlight ? "in flight" : "on the plate", middle, height - 8);
-}
-
-function drawPlate(ctx, middle, y, width, colours) {
-  const half = Math.min(width / 2 - 8, 60);
-  ctx.fillStyle = colours.text;
-  ctx.fillRect(middle - half, y, 2 * half, 5);
-  ctx.fillRect(middle - 2, y, 4, 26);
 }
 
 function drawSpring(ctx, x, from, to, colours) {

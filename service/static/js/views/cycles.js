@@ -17,7 +17,8 @@ export class Cycles extends PlotView {
 
   constructor(root, view, hint = "Cycles of one bounce. Point at a branch to read it, press to see the cycle move, drag or turn the wheel to zoom.") {
     super(view);
-    this.build(root, { controls: this.controls(), label: "Flight times of the cycles over Γ", hint, events: ["Folds, flips and grazes", () => this.#events()] });
+    const events = () => [[["event", ({ kind }) => eventName(kind)], ...this.#columns(7, 6)], this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
+    this.build(root, { controls: this.controls(), label: "Flight times of the cycles over Γ", hint, events: ["Folds, flips and grazes", events] });
   }
 
   controls() {
@@ -31,10 +32,6 @@ export class Cycles extends PlotView {
   read([result]) {
     this.branches = readBranches(result);
     [this.spring, this.maxGamma] = [{ omega: result.omega.data, xi: result.xi.data }, result.attrs.gamma_max];
-  }
-
-  #events() {
-    return [[["event", ({ kind }) => eventName(kind)], ...this.#columns(7, 6)], this.branches.events.filter(({ violations }) => violations === 0).sort((a, b) => a.gamma - b.gamma)];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */

@@ -201,7 +201,11 @@ export class Diagram extends PlotView {
 
   drawCursor(ctx, box) {
     const cell = this.#selectedOnLines();
-    if (cell) drawSelected(ctx, box, cell[this.lines[0].along], this.#colour(cell, box.theme));
+    if (cell) {
+      const [x, bottom, colour] = [box.x.pixel(cell[this.lines[0].along]), box.top + box.height, this.#colour(cell, box.theme)];
+      verticalLine(ctx, box, x, colour, 1, [2, 3]);
+      polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
+    }
     if (this.current?.periods) drawCycle(ctx, box, this.current, this.lines[0].along);
     else if (this.current) this.#atCurrent().forEach(({ line, cell }) => markCell(ctx, box, line.values[cell], distinctFlights(flightsIn(line, cell)).slice(0, MAX_CIRCLES)));
   }
@@ -320,12 +324,6 @@ export function drawThreshold(ctx, box, gamma, below = 0) {
   verticalLine(ctx, box, x, box.theme.threshold, 1.2, [5, 4]);
   const letter = { x: x + 32 < box.left + box.width ? x + 5 : x - 26, y: box.top + below + 17, colour: box.theme.threshold };
   box.texts.push({ ...letter, text: "Γ", size: 15, italic: true }, { ...letter, text: "th", size: 11, x: letter.x + 11, y: letter.y + 5 });
-}
-
-function drawSelected(ctx, box, value, colour) {
-  const [x, bottom] = [box.x.pixel(value), box.top + box.height];
-  verticalLine(ctx, box, x, colour, 1, [2, 3]);
-  polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
 }
 
 const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);
