@@ -46,6 +46,7 @@ export class Compare {
       this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
       if (!this.sources) this.#start(sweeps);
       else this.#update(sweeps, redraw);
+      for (const { job, state } of this.sources) state.textContent = job.state === "done" ? "" : ` · ${job.state}, ${amount(job)}`;
       if (sweeps.some(isGoing) && !this.signal.aborted) this.timer = setTimeout(() => this.refresh(false), POLL_MS);
     } catch (error) {
       this.problem.show(error);
@@ -62,19 +63,13 @@ export class Compare {
     this.legend.replaceChildren(...this.sources.map((source) => legendEntry(numberedColour(source.number, theme().dark),
       h("a", { href: link(["job", source.job.id]) }, titleOf(source.job)),
       h("p", { className: "summary" }, summary(source.job), (source.state = h("span", {}))))));
-    this.#showStates();
     this.show();
   }
 
   #update(jobs, redraw) {
     const hasChanged = this.sources.some(({ job }, i) => job.progress.cells_done !== jobs[i].progress.cells_done || job.state !== jobs[i].state);
     this.sources.forEach(({ job }, i) => Object.assign(job, jobs[i])); // the views have them too
-    this.#showStates();
     if (hasChanged || redraw) this.views.forEach((view) => view.update());
-  }
-
-  #showStates() {
-    for (const { job, state } of this.sources) state.textContent = job.state === "done" ? "" : ` · ${job.state}, ${amount(job)}`;
   }
 
   show() {
