@@ -49,7 +49,7 @@ export class JobView {
     Object.assign(this, buildFrame(root, { bar, line, tabs: this.tabs, problem: this.problem.element }));
     this.trajectory = new TrajectoryPanel(this.trajectorySection, signal, () => this.#closeTrajectory());
     addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal });
-    this.#poll(true);
+    this.refresh();
   }
 
   show() {
@@ -58,12 +58,9 @@ export class JobView {
     this.#showSelectedCell();
   }
 
-  refresh(redraw = true) {
+  /** Again each second or so; without `redraw`, what is drawn stays unless cells were computed. */
+  async refresh(redraw = true) {
     clearTimeout(this.timer);
-    this.#poll(redraw);
-  }
-
-  async #poll(redraw) {
     const job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal }).catch((error) => this.#pollFailed(error, redraw));
     if (!job || this.signal.aborted) return;
     if (!this.panel.isConnected) return location.reload(); // "No such sweep" took its place, and there is one again
@@ -93,7 +90,7 @@ export class JobView {
   /** Replaces a poll that is due already. */
   #pollAfter(milliseconds, redraw = false) {
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.#poll(redraw), milliseconds);
+    this.timer = setTimeout(() => this.refresh(redraw), milliseconds);
   }
 
   /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
