@@ -159,9 +159,7 @@ export class ClassLegend {
   }
 
   #toggle(id) {
-    const { hidden } = this;
-    if (!hidden.delete(id)) hidden.add(id);
-    setQuery({ hide: [...hidden].join() || null });
+    setQuery({ hide: [...this.hidden.symmetricDifference(new Set([id]))].join() || null });
     this.view.showLegend();
     this.view.draw();
   }
