@@ -3,7 +3,7 @@
 
 import { h } from "../lib/dom.js";
 import { numberIn, plural } from "../lib/format.js";
-import { SYMBOL, axisText, axisValues, meaningOf } from "../lib/physics.js";
+import { MEANING, SYMBOL, axisText, axisValues } from "../lib/physics.js";
 
 /** Texts of choices, where their names are not enough. */
 const CHOICES = {
@@ -94,7 +94,7 @@ export function axisField(axis) {
   const list = labelled("one value, or several separated by commas", values);
   const ofRange = [labelled("start", range.start), labelled("stop", range.stop), labelled("number of values", range.num), labelled("spacing", spacing)];
   const description = h("small", { className: "parsed", role: "status" });
-  const legend = h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, meaningOf(axis)));
+  const legend = h("legend", {}, h("i", {}, SYMBOL[axis]), h("small", {}, MEANING[axis]));
   const read = () => {
     const limits = Object.fromEntries(Object.entries(range).map(([name, { value }]) => [name, parseNumber(value)]));
     if (kind.value === "range") return { ...limits, spacing: spacing.value };

@@ -5,13 +5,9 @@ import { exact, number } from "./format.js";
 /** The axes in the order they are shown. */
 export const AXES = ["gamma", "omega", "xi"];
 export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
-const NAME = { gamma: "plate acceleration", omega: "plate frequency", xi: "damping" };
-const DEFINITION = { gamma: "Aω²/g", omega: "ω/ω₀", xi: "β/(2mω₀)" };
-/** "plate acceleration, Aω²/g" */
-export const meaningOf = (axis) => `${NAME[axis]}, ${DEFINITION[axis]}`;
-const RELATIVE = { gamma: " over gravity", omega: " over that of the spring", xi: " ratio" };
-/** "plate acceleration over gravity Γ": an axis of a plot, as in the files of the service. */
-export const axisLabel = (axis) => `${NAME[axis]}${RELATIVE[axis]} ${SYMBOL[axis]}`;
+export const MEANING = { gamma: "plate acceleration, Aω²/g", omega: "plate frequency, ω/ω₀", xi: "damping, β/(2mω₀)" };
+/** Axes of a plot, as in the files of the service. */
+export const AXIS_LABEL = { gamma: "plate acceleration over gravity Γ", omega: "plate frequency over that of the spring Ω", xi: "damping ratio ξ" };
 
 export const TWO_PI = 2 * Math.PI; // phase of one plate period, rad
 

@@ -3,7 +3,7 @@
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { numberIn } from "../lib/format.js";
-import { SYMBOL, axisText, clamp, meaningOf, nearestIndex } from "../lib/physics.js";
+import { MEANING, SYMBOL, axisText, clamp, nearestIndex } from "../lib/physics.js";
 
 /** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
 export function sliders(view, axes) {
@@ -21,7 +21,7 @@ function slider(view, axis) {
   };
   const typed = typedNumber(take, {}, { size: 1, "aria-label": `Value of ${SYMBOL[axis]}` });
   const input = h("input", {
-    id, type: "range", min: 0, max: values.length - 1, step: 1, title: meaningOf(axis),
+    id, type: "range", min: 0, max: values.length - 1, step: 1, title: MEANING[axis],
     oninput: () => setQuery({ [axis]: addressValue(values[input.valueAsNumber]) }),
   });
   const show = () => {

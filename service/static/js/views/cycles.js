@@ -2,7 +2,7 @@
 
 import { query } from "../lib/api.js";
 import { exact, number } from "../lib/format.js";
-import { axisLabel, clamp, threshold } from "../lib/physics.js";
+import { AXIS_LABEL, clamp, threshold } from "../lib/physics.js";
 import { verticalLine } from "../plot/drawing.js";
 import { branchLegend, cyclesAt, describeCycle, drawBranches, drawCycle, eventName, nearestCycle, readBranches, startOn } from "./closed-form.js";
 import { sliders } from "./controls.js";
@@ -42,7 +42,7 @@ export class Cycles extends PlotView {
 
   content() {
     return {
-      ...this.scales({ label: axisLabel("gamma") }, FLIGHT_AXIS),
+      ...this.scales({ label: AXIS_LABEL.gamma }, FLIGHT_AXIS),
       title: this.textOf(this.spring),
       legend: branchLegend(),
       message: this.branches.branches.length ? null : "No cycles here",

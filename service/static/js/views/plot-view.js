@@ -3,7 +3,7 @@
 import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, button, copyButton, debounced, downloads, fileName, h, latest, problemLine, resultFiles } from "../lib/dom.js";
-import { AXES, SYMBOL, axisColumn, axisLabel, axisText, axisValues, clamp, directionsOf, initialValue } from "../lib/physics.js";
+import { AXES, AXIS_LABEL, SYMBOL, axisColumn, axisText, axisValues, clamp, directionsOf, initialValue } from "../lib/physics.js";
 import { PagedTable } from "../lib/table.js";
 import { onThemeChange } from "../plot/colours.js";
 import { polygon } from "../plot/drawing.js";
@@ -187,7 +187,7 @@ export class PlotView {
     return { x: { ...x, low: x0, high: x1, log: isX }, y: { ...y, low: y0, high: y1, log: isY } };
   }
 
-  axisOf = (axis) => ({ label: axisLabel(axis), log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log"), single: this.grid[axis].length > 1 ? undefined : this.grid[axis][0] });
+  axisOf = (axis) => ({ label: AXIS_LABEL[axis], log: this.sources.every(({ job }) => job.spec[axis]?.spacing === "log"), single: this.grid[axis].length > 1 ? undefined : this.grid[axis][0] });
 
   #computeWindow() {
     const { x0, x1, y0, y1 } = this.visible();
