@@ -18,11 +18,11 @@ const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
 const LONGEST = 6; // plate periods of a cycle
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };
 const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Point at a branch to read it, press to start on it.";
-const CONTACTS = [["ideal", "ideal plate"], ["rigid", "rigid"], ["soft", "soft"]];
+const CONTACTS = [["ideal", "ideal plate"], "rigid", "soft"];
 const RESTITUTION = { ideal: 0, rigid: 0.3, soft: 0.01 };
 const PENETRATION = 0.001;
 const LIMITS = { restitution: { max: 0.999 }, penetration: { min: 1e-12, max: 1 } }; // of contacts that have branches
-const contactName = () => CONTACTS.find(([name]) => name === currentQuery().contact)?.[0] ?? "ideal";
+const contactName = () => ["rigid", "soft"].find((name) => name === currentQuery().contact) ?? "ideal";
 const longest = () => clamp(Math.round(queryNumber("periods", 3)), 1, LONGEST);
 
 function contactOf() {

@@ -16,10 +16,10 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
-/** A choice among `options`, [[value, text], …], the `control` of the label that this is. */
+/** A choice among `options`, [[value, text] or a value that is its text, …], the `control` of the label that this is. */
 export const choice = (label, options, selected, onChange, attributes = {}) => h("label", { className: "option" }, `${label} `,
   h("select", { onchange: (event) => onChange(event.target.value), ...attributes },
-    options.map(([value, text]) => h("option", { value, selected: value === selected }, text))));
+    options.map((option) => [option].flat()).map(([value, text = value]) => h("option", { value, selected: value === selected }, text))));
 
 /** A check box, the `control` of the label that this is. */
 export const checkBox = (text, attributes) => h("label", { className: "option" }, h("input", { type: "checkbox", ...attributes }), ` ${text}`);

@@ -48,7 +48,7 @@ ${assignments(spec).join("\n")}
 /** The specification in a language of choice, with a button that copies it; `show(spec)` changes it. */
 export class Snippets {
   constructor(language = "Python") {
-    this.language = choice("As", Object.keys(LANGUAGES).map((name) => [name, name]), language, () => this.show(), { "aria-label": "Language" });
+    this.language = choice("As", Object.keys(LANGUAGES), language, () => this.show(), { "aria-label": "Language" });
     const copy = copyButton("the specification", () => {
       getSelection().selectAllChildren(this.text); // for browsers that do not allow copying: a service without https
       return this.text.textContent;

@@ -13,9 +13,8 @@ const IDLE_POLL_MS = 5000;
 const ERROR_MS = 8000; // how long an error is shown
 const TYPING_MS = 250;
 const MAX_NAMED = 5; // sweeps named in a confirmation
-const named = (name) => [name, name];
-const STATES = [["", "any state"], ...["queued", "running", "done", "failed", "cancelled"].map(named)];
-const MODELS = [["", "any contact"], ...["rigid", "soft", "stepped", "ball", "auto"].map(named)];
+const STATES = [["", "any state"], "queued", "running", "done", "failed", "cancelled"];
+const MODELS = [["", "any contact"], "rigid", "soft", "stepped", "ball", "auto"];
 const ORDERS = [["", "newest first"], ["oldest", "oldest first"], ["finished", "last finished first"], ["name", "by name"], ["largest", "largest first"]];
 
 export class SweepList {

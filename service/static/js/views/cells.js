@@ -57,7 +57,7 @@ export class PlaneView extends PlotView {
     return this.directions.includes(dir) ? dir : this.directions[0];
   }
 
-  rampChoice = () => this.directions.length > 1 && choice("Ramp", this.directions.map((name) => [name, name]), this.direction, (dir) => setQuery({ dir }));
+  rampChoice = () => this.directions.length > 1 && choice("Ramp", this.directions, this.direction, (dir) => setQuery({ dir }));
 
   /** The index of a cell in what is stored row by row. */
   indexOf = ({ column, row }) => row * this.columns.length + column;

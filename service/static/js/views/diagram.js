@@ -35,9 +35,8 @@ export class Diagram extends PlotView {
     const setAxis = (along) => setQuery({ along, ...windowQuery(null) });
     const axis = choice("Diagram", diagrams, this.along, setAxis, { "aria-label": "Axis of the diagram", "data-service": true });
     const controls = [this.axes.length > 1 && !this.isFollower && axis, sliders(this, AXES)];
-    const ramps = [["", "both"], ...this.directions.map((direction) => [direction, direction])];
     const options = h("div", { className: "controls" },
-      this.directions.length > 1 && !this.isCompared && choice("Ramp", ramps, currentQuery().show, (show) => setQuery({ show: show || null })),
+      this.directions.length > 1 && !this.isCompared && choice("Ramp", [["", "both"], ...this.directions], currentQuery().show, (show) => setQuery({ show: show || null })),
       this.overlay?.element,
       !this.isCompared && !this.isFollower && minFlightInput(this.job));
     const ofSweep = { shown: [options, this.legend.element], below: [this.caption], label: `Bifurcation diagram of ${titleOf(this.job)}` };
