@@ -52,17 +52,14 @@ export class Plan {
     const plan = await requestDataset(`/v1/plans?${query({ budget: seconds(this.budget.value) })}`, { method: "POST", body: this.read(), signal, waits: true });
     const rows = partsOf(plan, "setting");
     const { note } = plan.attrs;
-    this.table.replaceChildren(h("div", {}, this.#rows(rows), note && h("p", { className: "note" }, `Note: ${note}.`)));
-    this.table.hidden = false;
-    const { effort, grid, high } = rows.find(({ recommended }) => recommended);
-    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong${note ? `; ${note}` : ""}.`);
-  }
-
-  #rows(rows) {
     const useButton = ({ effort, grid, spec }) => button("Use", () => this.use(JSON.parse(spec)), { "aria-label": `Use ${effort}, ${grid}` });
-    return table("Settings", ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""], rows.map((row) => [
+    const settings = table("Settings", ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""], rows.map((row) => [
       h("span", {}, row.effort, Boolean(row.recommended) && h("small", { className: "recommended" }, " recommended")),
       row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)), useButton(row),
     ]));
+    this.table.replaceChildren(h("div", {}, settings, note && h("p", { className: "note" }, `Note: ${note}.`)));
+    this.table.hidden = false;
+    const { effort, grid, high } = rows.find(({ recommended }) => recommended);
+    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong${note ? `; ${note}` : ""}.`);
   }
 }
