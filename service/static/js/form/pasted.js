@@ -39,19 +39,12 @@ export class PastedSpecification {
     this.problem.show(null);
     if (!this.text.value.trim()) return;
     try {
-      const spec = parseJson(this.text.value);
+      const spec = JSON.parse(this.text.value);
       await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
       taken(spec);
     } catch (error) {
-      this.problem.showInView(error);
+      const isJson = error.name !== "SyntaxError";
+      this.problem.showInView(isJson ? error : new Error(`This is not JSON: ${error.message}. \`bounce submit\` takes TOML files.`));
     }
-  }
-}
-
-function parseJson(text) {
-  try {
-    return JSON.parse(text);
-  } catch (error) {
-    throw new Error(`This is not JSON: ${error.message}. \`bounce submit\` takes TOML files.`);
   }
 }
