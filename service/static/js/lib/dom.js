@@ -43,15 +43,10 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
   const button = h("button", { type: "button", ...props, onclick: async () => {
     button.disabled = true;
     if (busy) button.textContent = busy;
-    try {
-      await work();
-    } catch (error) {
-      failed(error);
-    } finally {
-      button.disabled = false;
-      if (busy) button.textContent = title;
-      if (document.activeElement === document.body) button.focus({ preventScroll: true }); // which a disabled button loses
-    }
+    await Promise.try(work).catch(failed);
+    button.disabled = false;
+    if (busy) button.textContent = title;
+    if (document.activeElement === document.body) button.focus({ preventScroll: true }); // which a disabled button loses
   } }, title);
   return button;
 }

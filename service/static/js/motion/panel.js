@@ -104,14 +104,11 @@ export class TrajectoryPanel {
     clearTimeout(this.timer);
     this.note.hidden = Boolean(this.trajectory);
     this.timer = setTimeout(() => { this.note.hidden = false; }, SLOW_MS);
-    try {
-      this.trajectory = await requestMotion(path, options);
-    } finally {
-      if (!options.signal.aborted) {
-        clearTimeout(this.timer);
-        this.note.hidden = true;
-      }
-    }
+    this.trajectory = await requestMotion(path, options).finally(() => {
+      if (options.signal.aborted) return; // another one is loaded, or none
+      clearTimeout(this.timer);
+      this.note.hidden = true;
+    });
     this.#showError(null);
     this.player.show(this.trajectory);
     this.readout.textContent = describeMotion(this.trajectory, start);
@@ -128,14 +125,10 @@ export class TrajectoryPanel {
   }
 
   /** The return map, of a longer motion, which the rest does not need. */
-  async #loadMap(job, cell, signal) {
+  #loadMap(job, cell, signal) {
     const [path, options] = requestOf(job, cell, MAPPED);
-    try {
-      const { flights } = await requestMotion(path, { ...options, signal });
-      this.portraits.show({ flights });
-    } catch (error) {
-      if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message;
-    }
+    const failed = (error) => { if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message; };
+    requestMotion(path, { ...options, signal }).then(({ flights }) => this.portraits.show({ flights })).catch(failed);
   }
 
   /** A button that has the cell's cycle proven, and the answer in its place. */

@@ -211,11 +211,9 @@ export class SweepList {
     if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${kept}`)) return;
     const failed = [];
     for (const job of finished) {
-      try {
-        await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
-      } catch (error) {
+      await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" }).catch((error) => {
         if (error.status !== 404) failed.push(`${titleOf(job)}: ${error.message}`);
-      }
+      });
     }
     if (failed.length) this.showError(new Error(failed.join("; ")));
     announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);

@@ -28,15 +28,11 @@ export const sourceOf = (job, number = 1) => ({
 });
 
 /** A result; of more points than the service sends, every n-th, as its refusal says. */
-async function requestFitting(path, options) {
-  try {
-    return await requestDataset(path, options);
-  } catch (error) {
-    const [, every] = /every=(\d+) fits/.exec(error.message) ?? [];
-    if (!every) throw error;
-    return requestDataset(`${path}&every=${every}`, options);
-  }
-}
+const requestFitting = (path, options) => requestDataset(path, options).catch((error) => {
+  const [, every] = /every=(\d+) fits/.exec(error.message) ?? [];
+  if (!every) throw error;
+  return requestDataset(`${path}&every=${every}`, options);
+});
 
 /** A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
  *   name             part of the names of its files, and what a shared file calls its results
