@@ -31,7 +31,6 @@ export const eventName = (kind) => EVENTS[kind] ?? kind;
 class CyclesOverlay {
   data = null;
   isComplete = true; // whether no cell that is computed later changes the data
-  isLoading = false;
 
   /** `parameter` of the address; `path()` of the result, null where there is none; `read(result)` gives the data. */
   constructor(view, label, parameter, path, read) {
@@ -49,30 +48,25 @@ class CyclesOverlay {
     const path = this.path();
     this.element.hidden = path === null;
     const wanted = this.input.checked ? path : null;
-    if (wanted === this.requested) {
-      this.isOutdated = true; // there may be more cells
-      if (this.isComplete || this.isLoading) return;
-    }
-    this.requested = wanted;
-    this.load();
+    const isSame = wanted === this.requested;
+    if (!isSame) Object.assign(this, { requested: wanted, isComplete: false });
+    if (!this.isComplete) this.load(isSame); // there may be more cells
   }
 
   async #load(signal) {
+    if (this.isComplete) return; // since this was due
     const path = this.requested;
-    Object.assign(this, { isLoading: true, isOutdated: false });
     this.note.textContent = path ? "computing …" : "";
     try {
       const result = path && await requestDataset(path, { signal });
-      Object.assign(this, { data: result && this.read(result), isComplete: result?.attrs.complete ?? true });
+      Object.assign(this, { data: result && this.read(result), isComplete: path === this.requested && (result?.attrs.complete ?? true) });
       this.note.textContent = "";
     } catch (error) {
       if (error.name === "AbortError") return;
       Object.assign(this, { data: null, requested: null, isComplete: true });
       this.note.textContent = isHandledElsewhere(error) ? "" : error.message;
     }
-    this.isLoading = false;
     if (this.view.isLoaded && !this.view.signal.aborted) this.view.draw();
-    if (!this.isComplete && this.isOutdated) this.load();
   }
 }
 
