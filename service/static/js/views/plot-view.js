@@ -236,13 +236,13 @@ export class PlotView {
       if (this.signal.aborted) return;
       const position = this.current && this.at(this.current);
       this.read(results);
-      this.results = results;
       this.isThinned ||= results.some(({ attrs }) => attrs.every > 1);
       this.isLoaded = true;
       this.#showError(null);
       this.#setCurrent(position && this.nearest(...position));
       this.showLegend();
       this.draw();
+      this.plot.element.dataset.shown = parametersOf(results[0]);
       this.onLoad(this);
       if (this.paths().join() !== this.requested) this.load(); // thinned: the window in more detail
     } catch (error) {
@@ -255,7 +255,6 @@ export class PlotView {
   draw() {
     this.measured?.update();
     this.plot.draw();
-    this.plot.element.dataset.shown = parametersOf(this.results[0]);
     this.events?.update();
     this.#updateTable();
   }
@@ -342,7 +341,7 @@ export class PlotView {
 }
 
 /** What a result is of, as JSON: its attributes, and its coordinates of one value. */
-function parametersOf({ attrs, ...variables } = {}) {
+function parametersOf({ attrs, ...variables }) {
   const values = [...AXES, "direction"].filter((name) => variables[name]).map((name) => [name, variables[name].data])
     .map(([name, data]) => [name, typeof data === "object" && data.length === 1 ? data[0] : data]);
   return JSON.stringify({ ...attrs, ...Object.fromEntries(values.filter(([, value]) => typeof value !== "object")) });
