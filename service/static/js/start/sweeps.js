@@ -27,7 +27,7 @@ export class SweepList {
     document.title = "Bouncing spring";
     const find = () => this.#find();
     const select = (name, title, options) => choice(title, options, "", find, { name });
-    const search = h("input", { type: "search", name: "search", maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, () => signal.aborted || find()) });
+    const search = h("input", { type: "search", name: "search", size: 24, maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, () => signal.aborted || find()) });
     this.filters = h("form", { className: "controls", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
       h("label", { className: "option" }, "Find ", search),
       select("state", "State", STATES), select("model", "Contact", MODELS), select("order", "Order", ORDERS));

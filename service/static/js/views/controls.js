@@ -61,7 +61,7 @@ function typedNumber(take, { min = -Infinity, max = Infinity }, attributes) {
 
 /** An input for such a number of the address. */
 export const numberInput = (label, name, otherwise, limits = {}, attributes = {}) => h("label", { className: "option" }, `${label} `, typedNumber(
-  (value) => setQuery({ [name]: value === otherwise ? null : value }), { min: 0, ...limits }, { value: queryNumber(name, otherwise, limits), ...attributes }));
+  (value) => setQuery({ [name]: value === otherwise ? null : value }), { min: 0, ...limits }, { value: queryNumber(name, otherwise, limits), size: 5, ...attributes }));
 
 /** The shortest flight that counts: of the address, or the micro-flight the sweep was classified with. */
 export const minFlightOf = ({ spec }) => queryNumber("min", spec.micro_flight);
