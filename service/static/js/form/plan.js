@@ -33,7 +33,7 @@ export class Plan {
       return compute(seconds(this.budget.value || this.budget.placeholder));
     };
     const within = workButton("Compute within it", computeWithin, this.problem.show);
-    this.table = h("div", { hidden: true });
+    this.table = h("div");
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
       h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong; a note says where none surely does. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), compare, within), this.problem.element, this.table);
@@ -41,7 +41,7 @@ export class Plan {
 
   clear() {
     this.comparing?.abort();
-    this.table.hidden = true;
+    this.table.replaceChildren();
     this.problem.show(null);
   }
 
@@ -57,8 +57,7 @@ export class Plan {
       h("span", {}, row.effort, Boolean(row.recommended) && h("small", { className: "recommended" }, " recommended")),
       row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)), useButton(row),
     ]));
-    this.table.replaceChildren(h("div", {}, settings, note && h("p", { className: "note" }, `Note: ${note}.`)));
-    this.table.hidden = false;
+    this.table.append(settings, ...(note ? [h("p", { className: "note" }, `Note: ${note}.`)] : []));
     const { effort, grid, high } = rows.find(({ recommended }) => recommended);
     announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong${note ? `; ${note}` : ""}.`);
   }

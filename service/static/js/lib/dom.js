@@ -26,10 +26,9 @@ export const checkBox = (text, attributes) => h("label", { className: "option" }
 
 /** A line for an error, which `show(error)` shows and `show(null)` hides; not one that the banner or the token dialog shows. */
 export function problemLine() {
-  const element = h("p", { className: "problem", role: "alert", hidden: true });
+  const element = h("p", { className: "problem", role: "alert" });
   const show = (error) => {
     if (error && isHandledElsewhere(error)) return;
-    element.hidden = !error;
     element.textContent = error?.message ?? "";
   };
   const showInView = (error) => { show(error); element.scrollIntoView({ block: "nearest" }); };

@@ -36,9 +36,9 @@ export class TrajectoryPanel {
     this.about = h("p", { className: "note" });
     this.title = h("h2", { tabindex: "-1" });
     this.explore = h("a", {}, "Explore this spring");
-    this.values = h("details", { hidden: true });
+    this.values = h("details");
     this.files = h("div", {});
-    this.proof = h("div", { hidden: true, role: "status" });
+    this.proof = h("div", { role: "status" });
     this.note = h("p", { className: "note", role: "status", hidden: true }, "Computing the trajectory … The first one of a contact model compiles its kernel.");
     this.problem = problemLine();
     this.readout = h("p", { className: "readout", role: "status" });
@@ -72,7 +72,7 @@ export class TrajectoryPanel {
     const isThere = job.id && adhesive && (contact || isIdeal(model)) && AXES.every((axis) => clamp(cell[axis], ...EXPLORED[axis]) === cell[axis]);
     const place = { ...cellQuery(cell), ...(start && start.kind !== "attractor" ? {} : { cell: null }) };
     Object.assign(this.explore, { hidden: !isThere, href: link(["explore"], { ...place, contact, ...parameters }) });
-    this.values.hidden = this.proof.hidden = true;
+    for (const element of [this.values, this.proof]) element.replaceChildren();
     const length = !start || start.kind === "cycle" ? PLAYED : STARTED;
     let path, options, cycle = start?.periods ?? 0; // cycle: its plate periods
     const load = (periods) => {
@@ -141,7 +141,6 @@ export class TrajectoryPanel {
       this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
     };
     const failed = (error) => { if (!signal.aborted) this.proof.textContent = error.message; };
-    this.proof.hidden = false;
     this.proof.replaceChildren(workButton("Prove this cycle", prove, failed, { className: "quiet", busy: "Proving …" }));
   }
 
@@ -160,7 +159,6 @@ export class TrajectoryPanel {
   async #showValues(job, { gamma, ...cell }, signal) {
     const result = await requestDataset(`/v1/jobs/${job.id}/diagram?${query({ ...cell, start: gamma, stop: gamma })}`, { signal });
     const rows = Object.values(result).filter(({ attrs }) => attrs?.long_name).map((variable) => [variable.attrs.long_name, valueText(variable)]);
-    this.values.hidden = false;
     this.values.replaceChildren(h("summary", {}, "All values of the cell"), table("Values of the cell", null, rows));
     return result.periods.data[0] ?? result.periods.data;
   }

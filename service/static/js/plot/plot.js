@@ -22,7 +22,7 @@ export class Plot {
     this.content = content;
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
-    this.message = h("p", { className: "message", hidden: true });
+    this.message = h("p", { className: "message" });
     this.texts = h("div", { className: "texts visually-hidden" }); // what the canvas has as a picture
     this.axes = h("p", { className: "visually-hidden", id: `axes-${(plots += 1)}` });
     this.element = h("div", { className: "plot", ...(takesInput ? { tabindex: "0", role: "application" } : { role: "img" }), "aria-label": label, "aria-describedby": this.axes.id }, this.canvas, this.cursor, this.texts, this.message, this.axes);
@@ -50,7 +50,6 @@ export class Plot {
       this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
     }
     this.message.textContent = content?.message ?? "";
-    this.message.hidden = !content?.message;
     this.drawCursor();
     this.element.dispatchEvent(new Event("drawn"));
   }

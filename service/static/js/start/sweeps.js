@@ -41,7 +41,7 @@ export class SweepList {
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
     this.empty = h("p", { className: "note", hidden: true });
     this.problem = problemLine();
-    this.notice = h("p", { className: "notice", role: "status", hidden: true });
+    this.notice = h("p", { className: "notice", role: "status" });
     this.range = h("span", { className: "note", role: "status" });
     this.previous = button("Previous page", () => this.#turn(this.cursors.slice(0, -1)));
     this.next = button("Next page", () => this.#turn([...this.cursors, this.following]));
@@ -82,7 +82,6 @@ export class SweepList {
       const above = this.cursors.length === 1 ? pinned.jobs : [];
       this.#showJobs([...new Map([...above, ...others.jobs].map((job) => [job.id, job])).values()]);
       this.#showRange(pinned, others);
-      this.notice.hidden = !others.notice;
       setText(this.notice, others.notice ?? "");
       this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
@@ -163,7 +162,7 @@ export class SweepList {
     const pin = workButton("", changePin, (error) => this.showError(error), { className: "quiet pin" });
     const name = h("a", {});
     const time = h("span", { className: "note" });
-    const error = h("p", { className: "problem", hidden: true });
+    const error = h("p", { className: "problem" });
     const summary = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
     const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), summary.about),
       summary.progress, time, summary.actions, summary.notice, error);
@@ -177,7 +176,6 @@ export class SweepList {
       pin.title = job.pinned ? "Unpin" : "Pin: show it above the others";
       name.href = link(["job", job.id]);
       time.textContent = ago(job.finished ?? job.created);
-      error.hidden = !job.error;
       error.textContent = job.error ?? "";
     };
     return { element, update, box };

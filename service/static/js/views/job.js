@@ -35,7 +35,7 @@ export class JobView {
     this.heading = h("h1", { tabindex: "-1" }, "…");
     const failed = (error) => this.#failed(error);
     this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => navigate([]), error: failed });
-    this.settling = h("p", { className: "notice settling", hidden: true });
+    this.settling = h("p", { className: "notice settling" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     this.problem = problemLine();
     const ask = async () => {
@@ -117,9 +117,7 @@ export class JobView {
     const { job } = this;
     document.title = `${titleOf(job)} · Bouncing spring`;
     this.summary.show(job);
-    const unsettled = shared ? [shared.note].filter(Boolean) : settling(job);
-    this.settling.hidden = !unsettled.length;
-    this.settling.replaceChildren(...unsettled);
+    this.settling.replaceChildren(...(shared ? [shared.note].filter(Boolean) : settling(job)));
     this.problem.show(job.error ? new Error(`The sweep failed: ${job.error}`) : null);
   }
 

@@ -25,7 +25,7 @@ export class JobSummary {
   state = h("span", { className: "state" });
   progress = h("div", { className: "progress" }, this.state, this.bar, this.amount);
   actions = h("div", { className: "actions" });
-  notice = h("p", { className: "notice", hidden: true });
+  notice = h("p", { className: "notice" });
 
   constructor(name, on) {
     Object.assign(this, { name, on });
@@ -40,9 +40,7 @@ export class JobSummary {
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
     this.amount.textContent = this.amount.title = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(job);
-    const notices = [...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : [])];
-    this.notice.hidden = !notices.length;
-    this.notice.replaceChildren(...notices);
+    this.notice.replaceChildren(...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : []));
     showActions(this.actions, job, this.on);
   }
 }
