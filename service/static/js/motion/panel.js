@@ -48,7 +48,7 @@ export class TrajectoryPanel {
       h("div", {}, this.note, this.problem.element, this.player.element, this.readout),
       this.portraits.element,
       ...(onClose ? [button("×", onClose, { className: "quiet close", "aria-label": "Close", title: "Close" })] : []));
-    this.#hideMotion(true);
+    root.classList.add("empty");
     signal.addEventListener("abort", () => this.hide());
   }
 
@@ -117,11 +117,7 @@ export class TrajectoryPanel {
 
   #showError(error) {
     this.problem.show(error);
-    this.#hideMotion(Boolean(error));
-  }
-
-  #hideMotion(isHidden) {
-    for (const element of [this.player.element, this.portraits.element, this.readout]) element.hidden = isHidden;
+    this.root.classList.toggle("empty", Boolean(error));
   }
 
   /** The return map, of a longer motion, which the rest does not need. */
@@ -150,7 +146,7 @@ export class TrajectoryPanel {
     this.player.stop();
     this.problem.show(null);
     this.files.replaceChildren();
-    this.#hideMotion(true);
+    this.root.classList.add("empty");
     Object.assign(this, { shown: null, trajectory: null });
     this.root.hidden = true;
   }
