@@ -33,7 +33,10 @@ export class JobView {
   constructor(root, { path }, signal) {
     Object.assign(this, { root, signal, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
-    const failed = (error) => this.#failed(error);
+    const failed = (error) => { // where the sweep was deleted meanwhile, the page says so
+      if (error.status === 404) this.refresh(false);
+      else this.problem.show(error);
+    };
     this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => navigate([]), error: failed });
     this.settling = h("p", { className: "notice settling" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
@@ -105,12 +108,6 @@ export class JobView {
     document.getElementById("bar").replaceChildren();
     document.title = "No such sweep · Bouncing spring";
     this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
-  }
-
-  /** Show an error of an action or a view; where the sweep was deleted meanwhile, the page says so. */
-  #failed(error) {
-    if (error.status === 404) this.refresh(false);
-    else this.problem.show(error);
   }
 
   #describe() {
