@@ -10,11 +10,9 @@ import { Diagram } from "../views/diagram.js";
 import { buildFrame } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
 import { sourceOf } from "../views/plot-view.js";
-import { MOST_COMPARED, amount, isGoing, summary, titleOf } from "../views/progress.js";
+import { ERROR_POLL_MS, MOST_COMPARED, POLL_MS, amount, isGoing, summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 
-const POLL_MS = 1000;
-const ERROR_POLL_MS = 3000;
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };
 const ON_MAPS = { __proto__: null, maps: Modes, difference: Difference };
 

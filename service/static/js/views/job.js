@@ -13,7 +13,7 @@ import { buildFrame } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { sourceOf } from "./plot-view.js";
-import { JobSummary, isGoing, settling, titleOf } from "./progress.js";
+import { ERROR_POLL_MS, JobSummary, POLL_MS, isGoing, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { __proto__: null, diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -25,9 +25,7 @@ const STUDY_TABS = { // by the kind of study; others have their details alone
 const SHARED = [...AXES, "cell", "min", "hide"]; // query parameters that all tabs understand
 const MAPPED_FROM = 8; // values of Γ and of Ω: a sweep of as many opens on its map
 const WIDE = matchMedia("(min-width: 100rem)"); // beside the map there is room for a diagram
-const POLL_MS = 1000;
 const IDLE_POLL_MS = 5000; // somebody else may resume, rename or delete it
-const ERROR_POLL_MS = 3000;
 
 export class JobView {
   constructor(root, { path }, signal) {
