@@ -86,7 +86,10 @@ export class Thresholds extends PlotView {
     const edges = { 1: box.y.pixel(this.grid.gamma[0]), [-1]: box.y.pixel(this.grid.gamma.at(-1)) };
     for (const { direction, way } of this.series) {
       const colour = box.theme[direction];
-      drawSeries(ctx, box, this.rows, way, colour, direction);
+      const points = this.rows.map(({ omega, [way]: value }) => (Number.isFinite(value) ? [box.x.pixel(omega), box.y.pixel(value)] : null));
+      const size = Math.min(3.4, Math.max(1.6, 260 / points.length));
+      polyline(ctx, colour, 1.2, points);
+      for (const point of points.filter(Boolean)) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
       const aside = direction === "down" ? BESIDE : -BESIDE;
       this.rows.forEach(({ omega, [`${way}_status`]: status }) => {
         const x = box.x.pixel(omega) + (this.series.length > 1 ? aside : 0);
@@ -150,13 +153,6 @@ export class Thresholds extends PlotView {
     const direction = isNearerDown ? "down" : this.directions[0];
     return { gamma: this.grid.gamma[nearestIndex(this.grid.gamma, gamma)], omega, xi: this.xi, direction };
   }
-}
-
-function drawSeries(ctx, box, rows, way, colour, direction) {
-  const points = rows.map(({ omega, [way]: value }) => (Number.isFinite(value) ? [box.x.pixel(omega), box.y.pixel(value)] : null));
-  const size = Math.min(3.4, Math.max(1.6, 260 / rows.length));
-  polyline(ctx, colour, 1.2, points);
-  for (const point of points.filter(Boolean)) drawMarker(ctx, point, size, colour, direction, box.theme.surface);
 }
 
 /** A disc on the way up, a hollow square on the way down: distinct without colour too. */
