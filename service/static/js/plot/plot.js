@@ -79,7 +79,6 @@ export class Plot {
   }
 
   drawCursor() {
-    if (!this.canvas.width) return;
     const ctx = resizedContext(this.cursor, this.canvas.clientWidth, this.canvas.clientHeight);
     const content = this.content();
     if (!this.box || !content?.cursor) return;
