@@ -94,19 +94,18 @@ export class Compare {
     this.panel.className = isSide ? "panel side" : "panel";
     this.panel.replaceChildren(...(isSide ? roots : []));
     this.controls.replaceChildren();
+    const extent = () => {
+      const windows = this.views.filter(({ isLoaded }) => isLoaded).map((view) => view.whole());
+      const side = (name, choose) => choose(...windows.map((window) => window[name]));
+      return { x0: side("x0", Math.min), x1: side("x1", Math.max), y0: side("y0", Math.min), y1: side("y1", Math.max) };
+    };
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
       sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid: layout === "difference" ? this.sources[0].grid : this.grid, isFollower: i > 0,
-      prefix: isSide ? `${titleOf(group[0].job)}:   ` : "", extent: () => this.#extent(),
+      prefix: isSide ? `${titleOf(group[0].job)}:   ` : "", extent,
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
       onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown
     }));
-  }
-
-  #extent() {
-    const windows = this.views.filter(({ isLoaded }) => isLoaded).map((view) => view.whole());
-    const side = (name, choose) => choose(...windows.map((window) => window[name]));
-    return { x0: side("x0", Math.min), x1: side("x1", Math.max), y0: side("y0", Math.min), y1: side("y1", Math.max) };
   }
 }

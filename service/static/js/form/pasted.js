@@ -12,7 +12,18 @@ export const dropped = { file: null };
 /** A text area for a specification of any study; `taken(spec)` is called with one that the service accepts. */
 export class PastedSpecification {
   constructor(taken) {
-    this.take = debounced(DELAY_MS, () => this.#take(taken));
+    this.take = debounced(DELAY_MS, async () => {
+      this.problem.show(null);
+      if (!this.text.value.trim()) return;
+      try {
+        const spec = JSON.parse(this.text.value);
+        await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
+        taken(spec);
+      } catch (error) {
+        const isJson = error.name !== "SyntaxError";
+        this.problem.showInView(isJson ? error : new Error(`This is not JSON: ${error.message}. \`bounce submit\` takes TOML files.`));
+      }
+    });
     this.text = h("textarea", { rows: 12, spellcheck: false, "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
     this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
@@ -32,19 +43,6 @@ export class PastedSpecification {
       this.take();
     } catch (error) {
       this.problem.showInView(error);
-    }
-  }
-
-  async #take(taken) {
-    this.problem.show(null);
-    if (!this.text.value.trim()) return;
-    try {
-      const spec = JSON.parse(this.text.value);
-      await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
-      taken(spec);
-    } catch (error) {
-      const isJson = error.name !== "SyntaxError";
-      this.problem.showInView(isJson ? error : new Error(`This is not JSON: ${error.message}. \`bounce submit\` takes TOML files.`));
     }
   }
 }

@@ -25,7 +25,10 @@ export class SweepList {
   constructor(root, address, signal) {
     this.signal = signal;
     document.title = "Bouncing spring";
-    const find = () => this.#find();
+    const find = () => {
+      setQuery({ ...Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])), pages: null });
+      this.refresh();
+    };
     const select = (name, title, options) => choice(title, options, "", find, { name });
     const search = h("input", { type: "search", name: "search", size: 24, maxlength: 200, placeholder: "name or id", oninput: debounced(TYPING_MS, () => signal.aborted || find()) });
     this.filters = h("form", { className: "controls", role: "search", "aria-label": "Find sweeps", onsubmit: (event) => { event.preventDefault(); find(); } },
@@ -105,11 +108,6 @@ export class SweepList {
   #wanted() {
     const { search, ...choices } = Object.fromEntries(new FormData(this.filters));
     return { search: search.trim(), ...choices };
-  }
-
-  #find() {
-    setQuery({ ...Object.fromEntries(Array.from(new FormData(this.filters), ([name, value]) => [name, value || null])), pages: null });
-    this.refresh();
   }
 
   /** Show another page of the list. The heading takes the keyboard focus: the pressed button disappears. */

@@ -199,8 +199,9 @@ export class Diagram extends PlotView {
   }
 
   drawCursor(ctx, box) {
-    const cell = this.#selectedOnLines();
-    if (cell) {
+    const cell = this.selected();
+    const isAt = (fixed) => Object.entries(fixed).every(([axis, value]) => isClose(value, cell[axis]));
+    if (cell && this.lines.some(({ direction, fixed }) => direction === cell.direction && isAt(fixed))) {
       const [x, bottom, colour] = [box.x.pixel(cell[this.lines[0].along]), box.top + box.height, this.#colour(cell, box.theme)];
       verticalLine(ctx, box, x, colour, 1, [2, 3]);
       polygon(ctx, colour, [[x, bottom - 13], [x - 6, bottom - 1], [x + 6, bottom - 1]]);
@@ -212,12 +213,6 @@ export class Diagram extends PlotView {
   /** The colour of a direction; of several sweeps, each has a colour of its own. */
   #colour({ source = this.source, direction }, theme) {
     return this.isCompared ? numberedColour(source.number, theme.dark) : theme[direction];
-  }
-
-  #selectedOnLines() {
-    const cell = this.selected();
-    const isAt = (fixed) => Object.entries(fixed).every(([axis, value]) => isClose(value, cell[axis]));
-    return cell && this.lines.some(({ direction, fixed }) => direction === cell.direction && isAt(fixed)) ? cell : null;
   }
 
   #cell = (line, cell) => ({ line, cell: clampIndex(cell, line.values.length), source: line.source });
