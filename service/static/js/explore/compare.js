@@ -7,9 +7,8 @@ import { AXES, isClose, isSweep } from "../lib/physics.js";
 import { numberedColour, theme } from "../plot/colours.js";
 import { legendEntry } from "../views/cells.js";
 import { Diagram } from "../views/diagram.js";
-import { buildFrame } from "../views/frame.js";
 import { Modes } from "../views/modes.js";
-import { sourceOf } from "../views/plot-view.js";
+import { buildFrame, sourceOf } from "../views/plot-view.js";
 import { ERROR_POLL_MS, MOST_COMPARED, POLL_MS, amount, isGoing, summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 

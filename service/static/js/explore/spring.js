@@ -10,7 +10,7 @@ import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
 import { queryNumber, numberInput, sliders } from "../views/controls.js";
 import { Cycles } from "../views/cycles.js";
-import { buildFrame } from "../views/frame.js";
+import { buildFrame } from "../views/plot-view.js";
 
 const range = (min, max, step) => Array.from({ length: Math.round((max - min) / step) + 1 }, (_, i) => Number((min + i * step).toFixed(6)));
 const GRID = Object.fromEntries(AXES.map((axis) => [axis, range(...EXPLORED[axis])]));

@@ -9,10 +9,9 @@ import { Basin } from "./basin.js";
 import { Cycles } from "./cycles.js";
 import { Details } from "./details.js";
 import { Diagram } from "./diagram.js";
-import { buildFrame } from "./frame.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
-import { sourceOf } from "./plot-view.js";
+import { buildFrame, sourceOf } from "./plot-view.js";
 import { ERROR_POLL_MS, JobSummary, POLL_MS, isGoing, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
