@@ -80,11 +80,7 @@ export class PlotView {
     const [source] = sources;
     const single = { compared: sources, grid: source.grid, extent: () => this.whole(), isFollower: false, prefix: "" };
     const handlers = { selected: () => null, onPoint: () => {}, onLoad: () => {}, onMissing: () => {} };
-    Object.assign(this, { sources, source, directions: source.directions, isCompared: sources.length > 1 }, single, handlers, options);
-  }
-
-  get job() {
-    return this.source.job;
+    Object.assign(this, { sources, source, job: source.job, directions: source.directions, isCompared: sources.length > 1 }, single, handlers, options);
   }
 
   /** The values nearest to those of the address. */
