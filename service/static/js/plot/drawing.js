@@ -124,8 +124,7 @@ export function clipped(ctx, { left, top, width, height }, draw) {
 /** A bitmap of `width` × `height` pixels stretched over [x0, x1] × [y0, y1]; `fill(pixels)` writes one 32-bit colour
  * (see `rgba32`) per pixel. */
 export function bitmap(ctx, width, height, fill, x0, y0, x1, y1) {
-  const canvas = document.createElement("canvas");
-  [canvas.width, canvas.height] = [width, height];
+  const canvas = new OffscreenCanvas(width, height);
   const target = canvas.getContext("2d");
   const image = target.createImageData(width, height);
   fill(new Uint32Array(image.data.buffer));
