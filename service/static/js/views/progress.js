@@ -57,13 +57,13 @@ export function amount({ state, progress: { cells_done: done, cells_total: total
 
 export function summary({ spec, choice }) {
   if (!spec) return ["specification too long to list"];
-  const axes = AXES.filter((axis) => axis in spec)
-    .flatMap((axis) => [h("span", {}, h("i", {}, SYMBOL[axis]), ` ${rangeText(spec[axis])}`), " · "]);
+  const axes = AXES.filter((axis) => axis in spec).map((axis) => [h("i", {}, SYMBOL[axis]), ` ${rangeText(spec[axis])}`]);
   const texts = [
     protocolText(spec.protocol), spec.model && contactText(spec.model, choice), spec.exponents > 0 && plural(spec.exponents, "exponent"),
     spec.refine && `adaptive, by ${spec.refine.by}`,
-  ].filter(Boolean).flatMap((text) => [h("span", {}, text), " · "]).slice(0, -1);
-  return [...axes, ...texts, ...(spec.parent ? [" · ", h("a", { href: link(["job", spec.parent, "modes"]) }, "window of another sweep")] : [])];
+    spec.parent && h("a", { href: link(["job", spec.parent, "modes"]) }, "window of another sweep"),
+  ].filter(Boolean);
+  return [...axes, ...texts].flatMap((part) => [" · ", h("span", {}, part)]).slice(1);
 }
 
 /** "soft, e 0.2, d 0.01": a contact with its parameters. */
