@@ -5,7 +5,7 @@ import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
 import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
 import { AXES, axisValues, directionsOf } from "../lib/physics.js";
-import { Snippets } from "../lib/snippets.js";
+import { snippets } from "../lib/snippets.js";
 import { OF_REST, kindOf, loadPresets, loadStudies } from "./catalogue.js";
 import { axisField, modelField, objectField, schemaField } from "./fields.js";
 import { PastedSpecification } from "./pasted.js";
@@ -57,7 +57,7 @@ export class SweepForm {
     this.kind = h("select", { id: "study", onchange: () => this.#changeKind() }, kinds);
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
-    this.snippets = new Snippets();
+    this.snippets = snippets();
     this.plan = new Plan(() => this.#read(), (spec) => this.#replace(spec), (budget) => this.#submit({ budget }));
     const submit = (event) => { event.preventDefault(); this.#submit(); };
     this.form = h("form", { className: "sweep", novalidate: true, onsubmit: submit, oninput: this.#onEdit, onchange: this.#onEdit });

@@ -45,20 +45,18 @@ ${assignments(spec).join("\n")}
   JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
 };
 
-/** The specification in a language of choice, with a button that copies it; `show(spec)` changes it. */
-export class Snippets {
-  constructor(language = "Python") {
-    this.language = choice("As", Object.keys(LANGUAGES), language, () => this.show(), { "aria-label": "Language" });
-    const copy = copyButton("the specification", () => {
-      getSelection().selectAllChildren(this.text); // for browsers that do not allow copying: a service without https
-      return this.text.textContent;
-    });
-    this.text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
-    this.element = h("div", { className: "snippets" }, h("div", { className: "controls" }, this.language, copy), this.text);
-  }
-
-  show(spec = this.spec) {
-    this.spec = spec;
-    this.text.textContent = LANGUAGES[this.language.control.value](spec);
-  }
+/** The specification in a language of choice, with a button that copies it: {element, show(spec)}. */
+export function snippets(initial = "Python") {
+  let shown;
+  const text = h("pre", { tabindex: "0", role: "region", "aria-label": "The specification as text" });
+  const language = choice("As", Object.keys(LANGUAGES), initial, () => show(shown), { "aria-label": "Language" });
+  const copy = copyButton("the specification", () => {
+    getSelection().selectAllChildren(text); // for browsers that do not allow copying: a service without https
+    return text.textContent;
+  });
+  const show = (spec) => {
+    shown = spec;
+    text.textContent = LANGUAGES[language.control.value](spec);
+  };
+  return { element: h("div", { className: "snippets" }, h("div", { className: "controls" }, language, copy), text), show };
 }

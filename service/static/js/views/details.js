@@ -7,7 +7,7 @@ import { announce, downloads, h, problemLine, workButton } from "../lib/dom.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
 import { axisText, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
-import { Snippets } from "../lib/snippets.js";
+import { snippets } from "../lib/snippets.js";
 import { wholeStudy } from "./measured.js";
 import { sourceOf } from "./plot-view.js";
 import { isAudited } from "./progress.js";
@@ -15,7 +15,7 @@ import { isAudited } from "./progress.js";
 export class Details {
   constructor(root, { sources: [{ job }], signal }) {
     this.root = root;
-    this.snippets = new Snippets("JSON");
+    this.snippets = snippets("JSON");
     this.audit = auditOf(job); // stays as the details around it change
     this.update(job);
     // The details are shown without what the service runs on until it answers; another view reports that it does not.
