@@ -54,7 +54,12 @@ export class SweepForm {
     };
     this.preset = h("select", { id: "preset", onchange: choosePreset }, h("option", { value: "" }, "default values"), figures);
     const kinds = Object.entries(this.studies).map(([kind, { title }]) => h("option", { value: kind }, title));
-    this.kind = h("select", { id: "study", onchange: () => this.#changeKind() }, kinds);
+    const changeKind = () => { // begins with its own fields; what was edited, or came with a job or figure, stays
+      const isKept = (name) => !["protocol", "refine", "exponents"].includes(name) && (this.edited.has(name) || name in this.source);
+      this.#fill(this.studies[this.kind.value].begin, this.kind.value, isKept);
+      this.edited.add("protocol");
+    };
+    this.kind = h("select", { id: "study", onchange: changeKind }, kinds);
     this.cost = h("p", { className: "cost", role: "status" }, "…");
     this.button = h("button", { type: "submit", className: "button", disabled: true }, "Compute");
     this.snippets = snippets();
@@ -137,13 +142,6 @@ export class SweepForm {
     this.#showKind(kind);
     for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) && name in before ? kept : spec)[name]);
     this.#onChange();
-  }
-
-  /** Another kind of study begins with its own fields; what was edited, or came with a job or figure, stays. */
-  #changeKind() {
-    const isKept = (name) => !["protocol", "refine", "exponents"].includes(name) && (this.edited.has(name) || name in this.source);
-    this.#fill(this.studies[this.kind.value].begin, this.kind.value, isKept);
-    this.edited.add("protocol");
   }
 
   #replace(spec) {
