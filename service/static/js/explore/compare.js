@@ -41,9 +41,12 @@ export class Compare {
       const others = jobs.filter((job) => !sweeps.includes(job)).map(titleOf).join(", ");
       if (sweeps.length < 2) throw new Error(`Only sweeps have diagrams to compare; other studies: ${others}.`);
       this.problem.show(others ? new Error(`Left out, because only sweeps have diagrams: ${others}.`) : null);
-      if (!this.sources) this.#start(sweeps);
-      else this.#update(sweeps, redraw);
+      const isFirst = !this.sources;
+      if (isFirst) this.#start(sweeps);
+      const hasChanged = this.sources.some(({ job }, i) => job.progress.cells_done !== sweeps[i].progress.cells_done || job.state !== sweeps[i].state);
+      this.sources.forEach(({ job }, i) => Object.assign(job, sweeps[i])); // the views have them too
       for (const { job, state } of this.sources) state.textContent = job.state === "done" ? "" : ` · ${job.state}, ${amount(job)}`;
+      if (hasChanged || (redraw && !isFirst)) this.views.forEach((view) => view.update());
       if (sweeps.some(isGoing) && !this.signal.aborted) this.timer = setTimeout(() => this.refresh(false), POLL_MS);
     } catch (error) {
       this.problem.show(error);
@@ -61,12 +64,6 @@ export class Compare {
       h("a", { href: link(["job", source.job.id]) }, titleOf(source.job)),
       h("p", { className: "summary" }, summary(source.job), (source.state = h("span", {}))))));
     this.show();
-  }
-
-  #update(jobs, redraw) {
-    const hasChanged = this.sources.some(({ job }, i) => job.progress.cells_done !== jobs[i].progress.cells_done || job.state !== jobs[i].state);
-    this.sources.forEach(({ job }, i) => Object.assign(job, jobs[i])); // the views have them too
-    if (hasChanged || redraw) this.views.forEach((view) => view.update());
   }
 
   show() {
