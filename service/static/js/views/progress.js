@@ -119,14 +119,13 @@ function showActions(root, job, on) {
   if (root.dataset.actions === shown) return;
   const hadFocus = root.contains(document.activeElement);
   root.dataset.actions = shown;
+  const run = async (action) => {
+    if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
+    if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
+    await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
+    on.delete();
+  };
   const title = (action) => action[0].toUpperCase() + action.slice(1);
-  root.replaceChildren(...actions.map((action) => workButton(title(action), () => run(action, job, on), on.error, { className: "quiet", "aria-label": `${title(action)} ${titleOf(job)}` })));
+  root.replaceChildren(...actions.map((action) => workButton(title(action), () => run(action), on.error, { className: "quiet", "aria-label": `${title(action)} ${titleOf(job)}` })));
   if (hadFocus) root.querySelector("button")?.focus();
-}
-
-async function run(action, job, on) {
-  if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
-  if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
-  await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
-  on.delete();
 }
