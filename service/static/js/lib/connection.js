@@ -5,7 +5,6 @@ import { announce } from "./dom.js";
 
 const RETRY_MS = 1000;
 const TIMEOUT_MS = 3000;
-const HIDE_MS = 500;
 
 /** Show the banner and the dialog when they are needed; `onRestored` is called when requests can succeed again. */
 export function watchConnection(onRestored) {
@@ -22,12 +21,7 @@ export function watchConnection(onRestored) {
   });
 
   const busy = document.getElementById("busy");
-  let hiding;
-  connection.addEventListener("waiting", ({ detail: { requests } }) => {
-    clearTimeout(hiding); // a request that is repeated shall not make the note flicker
-    if (requests) busy.hidden = false;
-    else hiding = setTimeout(() => (busy.hidden = true), HIDE_MS);
-  });
+  connection.addEventListener("waiting", ({ detail: { requests } }) => { busy.hidden = !requests; });
 
   const refusal = dialog.querySelector(".problem");
   connection.addEventListener("unauthorized", ({ detail: { refused } }) => {
