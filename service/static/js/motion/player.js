@@ -18,7 +18,6 @@ export class Player {
   heights = null; // of the trajectory
   phase = 0; // rad since the first sample
   speed = 1;
-  periods = 1; // of the trajectory
   playing = !matchMedia("(prefers-reduced-motion: reduce)").matches;
 
   constructor(signal) {
@@ -46,9 +45,8 @@ export class Player {
 
   show(trajectory) {
     this.heights = heightsOf(trajectory);
-    this.periods = periodsOf(trajectory);
-    this.position.max = String(this.periods);
-    this.phase %= this.periods * TWO_PI;
+    this.position.max = String(this.heights.periods);
+    this.phase %= this.heights.periods * TWO_PI;
     this.button.disabled = false;
     this.plot.draw();
     this.play(this.playing);
@@ -61,7 +59,7 @@ export class Player {
     if (!on) return;
     let previous = performance.now();
     const step = (now) => {
-      this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (this.periods * TWO_PI);
+      this.phase = (this.phase + (Math.max(0, now - previous) / 1000 / SECONDS_PER_PERIOD) * TWO_PI * this.speed) % (this.heights.periods * TWO_PI);
       previous = now;
       this.#draw();
       this.frame = requestAnimationFrame(step);
@@ -123,7 +121,7 @@ function heightsOf(trajectory) {
   const values = [...plate, ...lower, ...upper].filter(Number.isFinite);
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const margin = MARGIN * (high - low) + 0.4;
-  return { isBall, phase, plate, lower, upper, inFlight, low: low - margin, high: high + margin };
+  return { isBall, phase, periods: periodsOf(trajectory), plate, lower, upper, inFlight, low: low - margin, high: high + margin };
 }
 
 /** The length the spring is drawn with. The dynamics do not depend on the rest length, so it is the one of the
