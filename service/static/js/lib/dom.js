@@ -42,7 +42,7 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
   const button = h("button", { type: "button", ...props, onclick: async () => {
     button.disabled = true;
     if (busy) button.textContent = busy;
-    await Promise.try(work).catch(failed);
+    await Promise.resolve().then(work).catch(failed);
     button.disabled = false;
     if (busy) button.textContent = title;
     if (document.activeElement === document.body) button.focus({ preventScroll: true }); // which a disabled button loses
