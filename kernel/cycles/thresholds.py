@@ -19,12 +19,11 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.cycles.closed_form import floquet, orbit, stable
 from kernel.cycles.events import Branch, Events, Kind, branch, branch_and_events, flight_times, fold_events
 from kernel.cycles.folds import Cycle, Fold, minima, one_flight
-from kernel.cycles.roots import Ints, stretches
+from kernel.cycles.roots import stretches
 from kernel.cycles.spring import Spring, spring
 from kernel.threshold import threshold
 
@@ -208,28 +207,23 @@ class _LastCycle(NamedTuple):
 def _last_cycles(k: Spring, line: Branch, events: Events, below: float) -> list[_LastCycle]:
     """The ends without a fold of the branch's stable cycles, below a Gamma."""
     lives = line.stable & (line.violations == 0)
+    times, broken = line.flight_time.tolist(), stretches(line.violations != 0)
     cycles = []
     for first, last in stretches(lives):
         for inside, outside in ((first, first - 1), (last - 1, last)):
             if not 0 <= outside < len(lives):
                 continue  # T -> 0 is Eq. 25; at T -> 2 pi k a contact vanishes, far above
-            low, high = sorted((line.flight_time[inside], line.flight_time[outside]))
+            low, high = sorted((times[inside], times[outside]))
             between = (events.flight_time >= low) & (events.flight_time <= high)
             if line.gamma[outside] > line.gamma[inside] or (between & (events.kind == Kind.FOLD)).any():
                 continue
-            after = line.flight_time[_stretch(line.violations != 0, outside, outside - inside)]
-            beyond = (float(after.min()), float(after.max())) if len(after) else (math.inf, math.inf)
-            within = one_flight(k, line.periods, float(line.flight_time[inside]))
+            spans = ((times[i], times[j - 1]) for i, j in broken if i <= outside < j)
+            beyond = next(spans, (math.inf, math.inf))
+            within = one_flight(k, line.periods, times[inside])
             for i in np.flatnonzero(between & (events.gamma < below)):
                 gamma, t = float(events.gamma[i]), float(events.flight_time[i])
                 cycles.append(_LastCycle(gamma, t, within, beyond))
     return cycles
-
-
-def _stretch(inside: NDArray[np.bool_], start: int, direction: int) -> Ints:
-    """The indices from `start` on in a direction (1 or -1), as long as `inside` holds."""
-    side = np.arange(start, len(inside) if direction > 0 else -1, direction)
-    return side[: int(np.argmin(np.append(inside[side], False)))]
 
 
 def _jump(line: Branch, events: Events) -> float:
