@@ -230,9 +230,7 @@ def _whole(plane: _Plane, kind: Kind, t: float, p: float) -> Floats:
     """The points (m, 2) of the whole curve through (t, p)."""
     zero = _Zero(plane, kind, t, p)
     forward, closed = _walk(zero, t, p, 1.0)
-    if closed:
-        return np.array([[t, p], *forward])
-    backward, _ = _walk(zero, t, p, -1.0)
+    backward = [] if closed else _walk(zero, t, p, -1.0)[0]
     return np.array([*backward[::-1], [t, p], *forward])
 
 
