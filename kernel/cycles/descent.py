@@ -5,7 +5,7 @@ or at rest. Branches do not decide its end at a torus, where numbers of hops acc
 cycle is unstable or leads up again.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -45,14 +45,10 @@ class Descent(NamedTuple):
     last: Point | None = None  # the last cycle before an unknown end
 
 
-def ideal_plate() -> Any:
-    """The plate of the closed form."""
-    return rigid.plate(restitution=np.zeros(1))
-
-
 def solved(omega: float, xi: float, cycle: Cycle) -> Point:
     """A known cycle of the closed form with the equations that it solves."""
-    return Cycles(ideal_plate(), omega, xi, cycle.letters, cycle.periods).on_branch(cycle.unknowns)
+    plate = rigid.plate(restitution=np.zeros(1))
+    return Cycles(plate, omega, xi, cycle.letters, cycle.periods).on_branch(cycle.unknowns)
 
 
 def descend(point: Point) -> Descent:

@@ -22,11 +22,11 @@ from tips import end_of_hysteresis, soft_landing, tip
 
 from kernel import creep
 from kernel.cycles.curves import Parameter, curves
-from kernel.cycles.descent import ideal_plate
 from kernel.cycles.events import Kind, branch_and_events, fold_events
 from kernel.cycles.folds import lifetime
 from kernel.cycles.starts import start_on_stable_cycle
 from kernel.cycles.thresholds import SEARCHED_XI, Thresholds, conjecture, thresholds
+from kernel.models import rigid
 from kernel.params import Cell, Outcome
 from kernel.proofs.balls import bounds
 from kernel.proofs.branches import prove_down
@@ -36,6 +36,7 @@ from service.presets import FIGURES
 from worker.analysis.prediction import of_contact
 from worker.spec.contact_models import Rigid, Soft
 
+PLATE = rigid.plate(restitution=np.zeros(1))
 TEXT = (ROOT / "docs" / "hysteresis.md").read_text()
 SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", TEXT, re.MULTILINE | re.DOTALL))
 XI = 0.05
@@ -122,7 +123,7 @@ def searched() -> Texts:
     """The cycles that the rule misses; `tests/nightly/kernel/test_threshold_search.py` has random springs."""
     rows = []
     for omega, xi, effort in ((0.52, 0.02, 0), (0.4664, 0.02, 50), (0.5395, 0.032, 0)):  # as much as it takes
-        rule, found = at(omega, xi), search(ideal_plate(), omega, xi, effort=effort)
+        rule, found = at(omega, xi), search(PLATE, omega, xi, effort=effort)
         says = f"{rule.cause} | {rule.down:.6f} |".replace(" nan", "")
         rows.append(f"| {omega:g} | {xi:g} | {says} {found.what}, {found.gamma:.6f} |")
         assert thresholds(omega, xi).cause == "not searched"
@@ -222,12 +223,12 @@ def tori() -> Texts:
     gaps = [f"{low:.6f} to {high:.6f}" for low, high in (omegas[:2], omegas[2:])]
     _, events = branch_and_events(0.46, XI, 1)
     fold = events.gamma[events.kind == Kind.FOLD].min()
-    plate, cell = ideal_plate(), Cell(0.85, 0.46, XI)
+    cell = Cell(0.85, 0.46, XI)
     states = random_starts(np.random.default_rng(1), cell.gamma, cell.omega, 100)
-    line = creep.run(plate, np.full(100, cell.gamma), cell.omega, XI, states, 3_000, 100)
-    turn = creep.rotation(plate, cell, line.end_state[line.outcome != Outcome.AT_REST][0])
+    line = creep.run(PLATE, np.full(100, cell.gamma), cell.omega, XI, states, 3_000, 100)
+    turn = creep.rotation(PLATE, cell, line.end_state[line.outcome != Outcome.AT_REST][0])
     assert turn is not None
-    end = search(plate, 0.46, XI, effort=0)
+    end = search(PLATE, 0.46, XI, effort=0)
     assert end.rotation == pytest.approx(2.0 / 33.0)
     return [
         *rows, *gaps, f"by {turn.number:.6f} of a turn in each round at Γ = 0.85, and by 2/33",

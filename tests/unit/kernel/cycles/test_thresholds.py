@@ -10,12 +10,13 @@ from tables import for_each
 
 from benchmarks.threshold_search import search, searched
 from kernel.cycles.cycles import cycle_from
-from kernel.cycles.descent import descend, ideal_plate
+from kernel.cycles.descent import descend
 from kernel.cycles.events import branch_and_events
 from kernel.cycles.folds import lifetime
 from kernel.cycles.follow import follow
 from kernel.cycles.starts import start_on_stable_cycle
 from kernel.cycles.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
+from kernel.models import rigid
 from kernel.params import Cell
 from kernel.threshold import threshold
 
@@ -106,7 +107,7 @@ def test_a_doubled_cycle_reaches_below_the_fold():
 
 
 def cycle_at(gamma, omega, xi, periods, state):
-    return cycle_from(ideal_plate(), Cell(gamma, omega, xi), periods, state)
+    return cycle_from(rigid.plate(restitution=np.zeros(1)), Cell(gamma, omega, xi), periods, state)
 
 
 def test_cycles_of_settled_cells():
