@@ -7,7 +7,7 @@ hops that never do.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from itertools import pairwise, takewhile
+from itertools import islice, pairwise, takewhile
 from typing import Any, Final
 
 import numpy as np
@@ -154,12 +154,10 @@ def is_doubled(point: Point) -> bool:
 def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
     """Cycles of a contact near the closed-form cycles (1, periods). Raises KernelInputError."""
     near_rest = branch(omega, xi, periods, np.array(_SHORT_FLIGHTS))
-    for gamma, t in zip(near_rest.gamma, near_rest.flight_time, strict=True):
-        if RANGE[0] < gamma < RANGE[1]:
-            point = beside(plate, start_on_cycle(Cell(float(gamma), omega, xi), periods, float(t)), periods)
-            if point is not None:
-                yield point
-                break
+    cycles = zip(near_rest.gamma.tolist(), near_rest.flight_time.tolist(), strict=True)
+    inside = ((Cell(gamma, omega, xi), t) for gamma, t in cycles if RANGE[0] < gamma < RANGE[1])
+    short = (beside(plate, start_on_cycle(cell, periods, t), periods) for cell, t in inside)
+    yield from islice(filter(None, short), 1)
     for low, high in stable_ranges(omega, xi, periods):
         cells = [Cell(low + x * (high - low), omega, xi) for x in _SHARES if high - low > _NARROWEST]
         starts = [start_on_stable_cycle(cell, periods) for cell in cells]

@@ -7,7 +7,7 @@ does not decide, and no branch has a fold there, the answer is `unresolved`.
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import chain, groupby
+from itertools import chain, groupby, islice
 from typing import Any, Final
 
 from kernel.cycles.any_contact import all_through, beside, seeds
@@ -86,13 +86,9 @@ def above(
     aside: relative distances in Gamma, tried in turn; each fold gives the first cycle found.
     """
     for fold in folds:
-        for away in aside:
-            cell = Cell(fold.gamma * (1.0 + away), omega, xi)
-            start = start_on_cycle(cell, fold.periods, fold.flight_time)
-            point = beside(plate, start, fold.periods)
-            if point is not None:
-                yield point
-                break
+        cells = (Cell(fold.gamma * (1.0 + away), omega, xi) for away in aside)
+        starts = (start_on_cycle(cell, fold.periods, fold.flight_time) for cell in cells)
+        yield from islice(filter(None, (beside(plate, start, fold.periods) for start in starts)), 1)
 
 
 def lowest_stable(line: Followed) -> Iterator[Point]:
