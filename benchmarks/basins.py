@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 
 from benchmarks.measuring import describe, options, short, table
 from kernel.line import run_line
-from kernel.params import Line, Outcome
+from kernel.params import Line, Outcome, counted_flights
 from service.views.multistability import MultistabilityQuery, compute
 from service.views.selection import Stored
 from worker import store
-from worker.basins.attractors import Found, counted, find
+from worker.basins.attractors import Found, find
 from worker.basins.multistability import run_chunk as compute_lines
 from worker.basins.specification import BasinSpec, MultistabilitySpec
 from worker.basins.starts import starts_of
@@ -113,7 +113,7 @@ def groups_of(spec: BasinSpec, found: Found) -> tuple[list[int], list[list[int]]
         starts = np.flatnonzero(found.ids == number)
         chosen += chance.choice(starts, min(STARTS, len(starts)), replace=False).tolist()
     line = run(spec, starts_of(spec, *_cell(spec))[chosen], *LONG)
-    flights = [counted(line, i, spec.micro_flight) for i in range(len(chosen))]
+    flights = [counted_flights(line, i, spec.micro_flight) for i in range(len(chosen))]
     longest = max([time.max(initial=0.0) for time, _ in flights]) or 1.0
     visits = [_visits(*pair, longest) for pair in flights]
     groups: list[list[int]] = []

@@ -133,6 +133,16 @@ def empty_line(n: int, keep: int, exponents: int = 0) -> Line:
     )
 
 
+def counted_flights(
+    line: Line, i: int, micro_flight: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Times and take-off phases of cell i's stored flights that count: those above `micro_flight`, or all."""
+    stored = np.isfinite(line.flight_time[i])
+    longer = stored & (line.flight_time[i] > micro_flight)
+    rows = longer if longer.any() else stored
+    return line.flight_time[i][rows], line.takeoff_phase[i][rows]
+
+
 #: Parameters must lie within this and its inverse. Their squares, such as 1/d^2, then stay within 1e60, and
 #: products of four of those, which the kernels form, within a double's range of 1e308.
 LARGEST: Final = 1e30

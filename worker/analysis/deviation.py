@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import Line, Outcome
+from kernel.params import Line, Outcome, counted_flights
 
 #: Two periodic cells are compared flight by flight over common cycles of up to this many plate periods.
 LONGEST_CYCLE: Final = 128
@@ -62,7 +62,7 @@ def _deviation(exact: Line, other: Line, i: int, micro_flight: float, fewest: in
     resting = [line.outcome[i] == Outcome.AT_REST for line in (exact, other)]
     if any(resting):
         return 0.0 if all(resting) else math.inf
-    exact_flights, other_flights = (_flights(line, i, micro_flight) for line in (exact, other))
+    exact_flights, other_flights = (counted_flights(line, i, micro_flight)[0] for line in (exact, other))
     common = math.lcm(int(exact.periods[i]), int(other.periods[i]))  # 0 if one of them has no cycle
     if not 0 < common <= LONGEST_CYCLE:
         told = 0 if exact.periods[i] else min(fewest, FEWEST)  # of a cycle the flights are known
@@ -84,14 +84,6 @@ def nearest(cycle: _Array, kept: _Array) -> float:
     if not len(cycle) or not len(kept):
         return math.nan
     return float(np.abs(kept[:, np.newaxis] - cycle).min(axis=1).max())
-
-
-def _flights(line: Line, i: int, micro_flight: float) -> _Array:
-    """The recorded flights of a cell that count for its mode, rad."""
-    from kernel.modes import counted  # noqa: PLC0415 - numba, in a worker
-
-    flights = line.flight_time[[i]]
-    return flights[counted(flights, line.flights[[i]], micro_flight)]
 
 
 def sorted_apart(exact: _Array, other: _Array) -> float:

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import STATE_FIELDS, Line, Outcome
+from kernel.params import STATE_FIELDS, Line, Outcome, counted_flights
 from worker.basins.plan import REPRESENTATIVES
 from worker.basins.specification import BasinSpec
 from worker.spec.contact_models import Contact
@@ -246,7 +246,7 @@ class _Search:
 
     def _cycle(self, line: Line, i: int) -> _Floats:
         """The sorted flights of the cycle on which run i of a record ends."""
-        time, _ = counted(line, i, self._spec.micro_flight)
+        time, _ = counted_flights(line, i, self._spec.micro_flight)
         return np.sort(time[len(time) - line.bounces[i] :])
 
     def _known_attractor(self, line: Line, i: int) -> int | None:
@@ -347,7 +347,7 @@ class _Search:
         """The runs of a record that end on an unknown attractor: aperiodic, or on long cycles."""
         samples = []
         for i in range(len(line.outcome)):
-            time, phase = counted(line, i, self._spec.micro_flight)
+            time, phase = counted_flights(line, i, self._spec.micro_flight)
             ended = line.outcome[i] not in (Outcome.DIVERGED, Outcome.UNRESOLVED)
             if ended and len(time) > 1 and self._known_attractor(line, i) is None:
                 mode = int(line.bounces[i]), int(line.periods[i])
@@ -389,19 +389,11 @@ class _Sample(NamedTuple):
     mode: tuple[int, int]  # of a long cycle; (0, 0) without one
 
 
-def counted(line: Line, i: int, micro_flight: float) -> tuple[_Floats, _Floats]:
-    """Times and take-off phases of run i's stored flights that count: the longer ones, or all."""
-    stored = np.isfinite(line.flight_time[i])
-    longer = stored & (line.flight_time[i] > micro_flight)
-    rows = longer if longer.any() else stored
-    return line.flight_time[i][rows], line.takeoff_phase[i][rows]
-
-
 def _reduced(line: Line, micro_flight: float) -> dict[str, NDArray[Any]]:
     """The kept part of a record of n runs: `_Ends`, with flights only of the runs without a cycle."""
     cycle = np.zeros((len(line.outcome), 4))
     for i in np.flatnonzero(line.outcome == Outcome.PERIODIC).tolist():
-        last = counted(line, i, micro_flight)[0][-line.bounces[i] :]
+        last = counted_flights(line, i, micro_flight)[0][-line.bounces[i] :]
         cycle[i] = last.sum(), (last * last).sum(), last.min(), last.max()
     return {
         "outcome": line.outcome, "bounces": line.bounces, "periods": line.periods, "state": line.end_state,
@@ -415,7 +407,7 @@ def _ends_of_flights(
     """Times and phases of the last START_FLIGHTS flights of some or all runs, NaN beyond."""
     rows: dict[str, list[_Floats]] = {"time": [], "phase": []}
     for i in range(len(line.outcome)) if which is None else np.flatnonzero(which).tolist():
-        for values, flights in zip(rows.values(), counted(line, i, micro_flight), strict=True):
+        for values, flights in zip(rows.values(), counted_flights(line, i, micro_flight), strict=True):
             missing = max(START_FLIGHTS - len(flights), 0)
             values.append(np.pad(flights[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
     return {name: np.array(values, np.float32).reshape(-1, START_FLIGHTS) for name, values in rows.items()}

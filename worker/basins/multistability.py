@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kernel.cell import rescale
-from kernel.params import Line, Outcome
-from worker.basins.attractors import CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, counted, sizes_of_runs
+from kernel.params import Line, Outcome, counted_flights
+from worker.basins.attractors import CYCLE_REPRESENTATIVES, LONG_CYCLE, SAME_CYCLE, sizes_of_runs
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, sizes_of_attractors
 from worker.basins.specification import MAX_DROPS, MultistabilitySpec
 from worker.basins.starts import Steps, starts_of
@@ -74,7 +74,7 @@ def _reduced(line: Line, micro_flight: float, keep: int) -> _Arrays:
         "flight_time": np.full((n, keep), np.nan), "takeoff_phase": np.full((n, keep), np.nan),
     }  # fmt: skip
     for i, outcome in enumerate(line.outcome):
-        time, phase = counted(line, i, micro_flight)
+        time, phase = counted_flights(line, i, micro_flight)
         if outcome == Outcome.PERIODIC:
             ends["bounces"][i], ends["periods"][i] = line.bounces[i], line.periods[i]
             longest = np.sort(time[len(time) - line.bounces[i] :])[::-1][:CYCLE]
