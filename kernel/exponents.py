@@ -87,14 +87,12 @@ def _hadamard(vector: Any, row: int) -> float:
 
 @inlined
 def _square(vectors: Any, k: int) -> float:
-    """The squared length of vector k."""
     square: float = vectors[k, 0] ** 2 + vectors[k, 1] ** 2 + vectors[k, 2] ** 2 + vectors[k, 3] ** 2
     return square
 
 
 @inlined
 def _scale(vectors: Any, k: int, factor: float) -> None:
-    """Multiply vector k."""
     for i in range(4):
         vectors[k, i] *= factor
 

@@ -125,7 +125,6 @@ def _scalar_phase(spring: Any, run: Progress, phi: PlatePhase) -> Phase:
 def _write_record(
     spring: Any, line: Line, i: int, run: Progress, flights: Flights, first: int, window: Window
 ) -> None:
-    """Write the record of the i-th cell, whose run has ended."""
     cell.write_record(line, i, run, flights, first, window)
     line.outcome[i] = _settling_or(line.outcome[i], spring, run, flights, first)
 

@@ -97,7 +97,6 @@ class _Plane(NamedTuple):
         return (p, self.fixed) if self.parameter is Parameter.OMEGA else (self.fixed, p)
 
     def spring(self, p: float | complex) -> Spring:
-        """The spring at a value of the parameter."""
         return spring(*self.omega_and_xi(p))
 
     def sides(self) -> Floats:
@@ -110,7 +109,6 @@ class _Plane(NamedTuple):
         return f.trace[0], f.det[0], f.trace1[0], f.det1[0]
 
     def event(self, kind: Kind, t: float, p: float) -> Events:
-        """The record of one event."""
         tolerance = GRAZES if kind in EDGES else 0.0
         return events_of([kind], branch(*self.omega_and_xi(p), self.periods, np.array([t]), tolerance))
 
@@ -127,12 +125,10 @@ class _Zero:
     """The function of (T, parameter) that is zero on a curve, with its gradient."""
 
     def __init__(self, plane: _Plane, kind: Kind, t: float, p: float) -> None:
-        """The curve of a kind through the event at (t, p)."""
         self.plane, self.kind = plane, kind
         self.time = self.begins = _grazes_at(plane, kind, t, p) if kind in _GRAZE else math.nan
 
     def __call__(self, t: float, p: float) -> tuple[float, Floats]:
-        """The value, and its gradient by T and by the parameter."""
         if math.isfinite(self.time):
             self.time = _minimum(self.plane, self.kind, t, p, self.time)
         by_t, by_p = (self._value(*x) for x in ((t + 1j * STEP, p), (t, p + 1j * STEP)))

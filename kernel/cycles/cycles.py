@@ -171,7 +171,6 @@ class Cycles(NamedTuple):
     def _solved(
         self, x: Floats, direction: Floats, goal: float, converged: float, most: int
     ) -> tuple[bool, Floats, Round, Floats]:
-        """`segments.newton` for this signature."""
         cycles = self.plate, self.omega, self.xi, self.code, self.periods, ALONG.index(self.along), self.gamma
         return newton(*cycles, x, direction, goal, converged, most)
 

@@ -358,7 +358,6 @@ def _goes_back(line: list[Point], first: Point) -> bool:
 
 
 def _multipliers_jump(a: Point, b: Point) -> bool:
-    """Whether the leading multipliers of two neighbours differ."""
     x, y = a.multipliers[0], b.multipliers[0]
     return bool(min(abs(x - y), abs(x - y.conjugate())) > _JUMP * (1.0 + abs(x)))
 

@@ -143,7 +143,6 @@ def _fall(spring: Any, t: float) -> Fall:
 
 @inlined
 def _gap2(spring: Any, z: Motion) -> float:
-    """gap'' in flight."""
     press: float = spring.flight.damping * z.q1 + 0.5 * spring.flight.stiffness * z.q
     return press + z.cos - z.unit
 
@@ -514,7 +513,6 @@ def newton(
 
 @jit
 def _is_finite(cycle: Round) -> bool:
-    """Whether all values and slopes are finite numbers."""
     total = 0.0
     for i in range(len(cycle.value)):
         total += 0.0 * cycle.value[i]

@@ -78,7 +78,6 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[tuple[float, fl
 
 
 def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
-    """A start on cycle i of a branch."""
     cycle = rows_of(line, slice(i, i + 1))
     return CycleStart(Start(_state(cycle), cell), cycle)
 

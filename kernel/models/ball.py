@@ -85,7 +85,6 @@ def _prepare(plate: BallPlate, i: int, gamma: float, omega: float, xi: float) ->
 @rest.register(Ball)
 @jit
 def _rest(b: Ball) -> State:
-    """On the plate; a ball has no elongation."""
     return _state(0.0, 0.0)
 
 
@@ -153,7 +152,6 @@ def _contact(b: Ball, phi: PlatePhase, state: State, horizon: float, budget: int
 @flight.register(Ball)
 @jit
 def _flight(b: Ball, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
-    """In flight until landing, then the impact."""
     if budget <= 0:
         return Phase(0.0, BUDGET_EXHAUSTED, True, _state(state.gap, state.gap1), 0)
     p = fall(b, phi, state)

@@ -124,7 +124,6 @@ def _contact_force(s: Spring, phi: PlatePhase, state: State) -> float:
 @interface.rest.register(Spring)
 @jit
 def _rest(s: Spring) -> State:
-    """On the plate, at the static elongation."""
     return State(0.0, 0.0, s.static_elongation, 0.0)
 
 
@@ -202,7 +201,6 @@ def _contact(s: Spring, phi: PlatePhase, state: State, horizon: float, budget: i
 @interface.flight.register(Spring)
 @inlined
 def _flight(s: Spring, phi: PlatePhase, state: State, horizon: float, budget: int) -> Phase:
-    """In flight until the gap falls to zero."""
     p = begin_flight(s.flight, s.gravity, phi, state)
     if p.gap == 0.0 and p.gap1 > 0.0 and p.gap2 < 0.0:
         hop = short_hop(p, 0.0, 0.0, horizon, budget)

@@ -91,7 +91,6 @@ def _contact_force(s: SoftSpring, phi: PlatePhase, state: State) -> float:
 @interface.rest.register(SoftSpring)
 @jit
 def _rest(s: SoftSpring) -> State:
-    """At the static gap and elongation."""
     return State(s.static_gap, 0.0, s.static_elongation, 0.0)
 
 

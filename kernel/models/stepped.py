@@ -242,7 +242,6 @@ def _prepare(plate: SteppedPlate, i: int, gamma: float, omega: float, xi: float)
 @rest.register(SteppedSpring)
 @jit
 def _rest(s: SteppedSpring) -> State:
-    """At the static gap and elongation."""
     return State(s.static_gap, 0.0, s.static_elongation, 0.0)
 
 

@@ -37,7 +37,6 @@ def _get(vectors: Any, k: int) -> State:
 
 @inlined
 def _put(vectors: Any, k: int, g: float, g1: float, q: float, q1: float) -> None:
-    """Overwrite vector k."""
     vectors[k, 0], vectors[k, 1], vectors[k, 2], vectors[k, 3] = g, g1, q, q1
 
 

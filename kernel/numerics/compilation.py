@@ -223,7 +223,6 @@ class _Typing:
         return getattr(self._context, name)
 
     def resolve_function_type(self, function: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
-        """The signature of a call."""
         module = getattr(getattr(function, "typing_key", None), "__module__", None)
         if kws or module not in _BUILT_IN or not all(type(arg) in _VALUES for arg in args):
             return self._context.resolve_function_type(function, args, kws)
@@ -372,7 +371,6 @@ class _EntryCache:
         return path is not None and _machine_code(path, codegen).exists()
 
     def load_overload(self, sig: Any, target: Any) -> Any:
-        """The compiled function, or None."""
         target.refresh()
         codegen = target.codegen()
         if (path := self._path(sig)) is None:
@@ -389,7 +387,6 @@ class _EntryCache:
         return None
 
     def save_overload(self, sig: Any, result: CompileResult) -> None:
-        """Keep a compiled function."""
         if (path := self._path(sig)) is None:
             return
         library, described = result.library, result.fndesc
