@@ -103,7 +103,6 @@ class Attractor:
     bounces: int  # 0 without a cycle
     periods: int
     flights: _Floats  # (m,) sorted: of the cycle, or of its representatives
-    phases: _Floats  # (m,) of an aperiodic one: take-off phases of these flights; else empty
     state: _Floats  # (len(STATE_FIELDS),) on the attractor, at phase 0
     lifetime: float = np.inf  # plate periods; finite if representatives left it
     fraction: float = 0.0
@@ -242,7 +241,7 @@ class _Search:
         if (number := self._known_attractor(line, i)) is not None:
             return number
         mode = int(line.outcome[i]), int(line.bounces[i]), int(line.periods[i])
-        return self._new(Attractor(*mode, self._cycle(line, i), np.empty(0), line.end_state[i].copy()))
+        return self._new(Attractor(*mode, self._cycle(line, i), line.end_state[i].copy()))
 
     def _cycle(self, line: Line, i: int) -> _Floats:
         """The sorted flights of the cycle on which run i of a record ends."""
@@ -507,15 +506,11 @@ def _linked(samples: Sequence[_Sample]) -> list[list[int]]:
 
 def _pooled(samples: Sequence[_Sample], rate: float) -> Attractor:
     """The attractor of samples that agree."""
-    time = np.concatenate([sample.time for sample in samples])
-    phase = np.concatenate([sample.phase for sample in samples])
     lifetime = 1.0 / rate if rate > 0.0 else np.inf
     modes = {sample.mode for sample in samples}
     if len(modes) == 1 and samples[0].mode[0]:
         bounces, periods = samples[0].mode
         cycle = np.sort(samples[0].time[-bounces:])
-        return Attractor(
-            int(Outcome.PERIODIC), bounces, periods, cycle, np.empty(0), samples[0].state, lifetime
-        )
-    order = np.argsort(time, kind="stable")
-    return Attractor(APERIODIC, 0, 0, time[order], phase[order], samples[0].state, lifetime)
+        return Attractor(int(Outcome.PERIODIC), bounces, periods, cycle, samples[0].state, lifetime)
+    flights = np.sort(np.concatenate([sample.time for sample in samples]))
+    return Attractor(int(Outcome.APERIODIC), 0, 0, flights, samples[0].state, lifetime)

@@ -133,7 +133,6 @@ def test_aperiodic_runs_that_turn_out_to_repeat_are_a_cycle(starts: int):
     assert (attractor.outcome, attractor.bounces, attractor.periods) == (Outcome.PERIODIC, 90, 70)
     assert attractor.flights.tolist() == flights
     assert attractor.state[START] == 0
-    assert not len(attractor.phases)
 
 
 def test_distances_are_those_of_kolmogorov_and_smirnov():

@@ -216,7 +216,7 @@ def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided()
     spec = basin(rows=6, columns=6, keep=2)
     window = {"flight_time": np.zeros(2), "takeoff_phase": np.zeros(2)}
     attractors = tuple(
-        Attractor(Outcome.PERIODIC, i + 1, 1, np.array([1.0 + i]), np.empty(0), np.zeros(6), **window)
+        Attractor(Outcome.PERIODIC, i + 1, 1, np.array([1.0 + i]), np.zeros(6), **window)
         for i in range(MAX_ATTRACTORS + 2)
     )
     found = Found(np.arange(36, dtype=np.uint16), attractors)
