@@ -23,8 +23,6 @@ _Floats = NDArray[np.float64]
 _Ints = NDArray[np.intp]
 _Flights = NDArray[np.float32]  # (n, START_FLIGHTS)
 
-APERIODIC: Final = int(Outcome.APERIODIC)
-
 #: Sorted flights of two cycles of one mode are equal within this, rad.
 SAME_CYCLE: Final = 1e-4
 
@@ -252,7 +250,7 @@ class _Search:
         """The known attractor on which run i of a record ends; None if there is none."""
         mode, flights = (line.outcome[i], line.bounces[i], line.periods[i]), self._cycle(line, i)
         for number, known in enumerate(self._attractors):
-            same = (known.outcome, known.bounces, known.periods) == mode and known.outcome != APERIODIC
+            same = (known.outcome, known.bounces, known.periods) == mode and mode[0] != Outcome.APERIODIC
             if same and np.all(np.abs(known.flights - flights) <= SAME_CYCLE):
                 return number
         return None
