@@ -154,12 +154,8 @@ def by_bisection(spec: SweepSpec, url: str, xi: int, omegas: tuple[int, ...], to
                 edge = (bracket.bouncing, bracket.resting) if down else (bracket.resting, bracket.bouncing)
                 result = _refine_line(spec, url, (direction, xi, omega), edge, tolerance, down)
             results["down" if down else "up"][i] = result
-    return Refined(
-        tuple(value for value, _ in results["up"]),
-        tuple(value for value, _ in results["down"]),
-        tuple(status for _, status in results["up"]),
-        tuple(status for _, status in results["down"]),
-    )
+    (ups, up_status), (downs, down_status) = (zip(*line, strict=True) for line in results.values())
+    return Refined(ups, downs, up_status, down_status)
 
 
 def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, endless: bool) -> OnGrid:
