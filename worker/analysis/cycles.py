@@ -1,11 +1,10 @@
 """Branches of a spring's cycles on the contact of a specification, and curves of their events."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import (
     both_ways,
@@ -24,6 +23,7 @@ from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from, cycle_through
 from kernel.cycles.events import Branch, Events, Kind, join_events
 from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, crossing, follow, happens
+from kernel.cycles.roots import Floats
 from kernel.params import Cell, Outcome
 from worker import store
 from worker.analysis.bisection import BOUNCING
@@ -32,8 +32,6 @@ from worker.study.layout import CELL_DIMS
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.task import run_cells
 from worker.work import plate_of
-
-Floats = NDArray[np.float64]
 
 #: Flights longer than this, rad, count as bounces.
 MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
@@ -100,9 +98,7 @@ def follow_cycles(
     span = RANGE[0], gamma_max
     plate = plate_at(contact, gamma_max, omega, xi)
     lines = branches(plate, omega, xi, periods, span=span, points=points)
-    if twice:
-        lines += _doubled(lines, span, points)
-    return _recorded(lines, flights=twice)
+    return _recorded(lines, span, points, twice, flights=twice)
 
 
 def follow_along(
@@ -111,9 +107,7 @@ def follow_along(
 ) -> FollowedCycles:  # fmt: skip
     """The branches along "omega" or "xi" within `span` through the cycles of a cell, as `follow_cycles`."""
     lines = branches_at(plate_at(contact, *cell), cell, periods, along, span, points=points)
-    if twice:
-        lines += _doubled(lines, span, points)
-    return _recorded(lines, flights=twice)
+    return _recorded(lines, span, points, twice, flights=twice)
 
 
 def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> list[Followed]:
@@ -132,9 +126,15 @@ def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> l
 
 
 def _recorded(
-    lines: list[Followed], micro_flight: float = MICRO_FLIGHT, skipped: Any = (), flights: bool = False
-) -> FollowedCycles:
-    """The record of branches; `flights`: their `flight_time` is that of `_longest_first`."""
+    lines: list[Followed], span: tuple[float, float], points: int, twice: bool, *, flights: bool,
+    micro_flight: float = MICRO_FLIGHT, skipped: Sequence[Skipped] = (),
+) -> FollowedCycles:  # fmt: skip
+    """The record of branches, and if `twice` of those of twice the period.
+
+    flights: whether their `flight_time` is that of `_longest_first`.
+    """
+    if twice:
+        lines = lines + _doubled(lines, span, points)
     records = [record(line.points, micro_flight) for line in lines]
     if flights:
         tables = (_longest_first(line.points, micro_flight) for line in lines)
@@ -174,10 +174,9 @@ def follow_cells(
             # an earlier branch that was cut off is a part of the new one
             followed = [(other, line) for other, line in followed if not lies_on(other, new)]
             followed.append((seed, new))
-    branches = [branch for _, branch in followed]
-    if twice:
-        branches += _doubled(branches, span, POINTS)
-    return _recorded(branches, spec.micro_flight, skipped, flights=True)
+    lines_of = [line for _, line in followed]
+    micro_flight = spec.micro_flight
+    return _recorded(lines_of, span, POINTS, twice, flights=True, micro_flight=micro_flight, skipped=skipped)
 
 
 def cycle_with(contact: Contact, cell: Cell, periods: int, state: Floats) -> tuple[Branch, Floats] | None:
