@@ -111,7 +111,11 @@ def sample(spec: SweepSpec) -> Iterator[Cells]:
         return
     beside = {axis: 1 if axis == ramp else len(values[axis]) for axis in AXES}
     along = _along(spec, values[ramp])
-    for indices in sorted(set(_lattice(beside, LINES))):
+    lattice = {
+        tuple(_middle(k * LATTICE[axis] % LINES, LINES, n) for axis, n in beside.items())
+        for k in range(LINES)
+    }
+    for indices in sorted(lattice):
         fixed = {axis: values[axis][i] for axis, i in zip(AXES, indices, strict=True)}
         yield Cells(**{axis: along if axis == ramp else np.full(len(along), fixed[axis]) for axis in AXES})
 
@@ -122,12 +126,6 @@ def _along(spec: SweepSpec, values: _Array) -> _Array:
     chosen = values[[_middle(k, n, len(values)) for k in range(n)]]
     runs = {"up": chosen, "down": chosen[::-1]}
     return np.concatenate([runs[direction] for direction in spec.directions])
-
-
-def _lattice(lengths: dict[str, int], n: int) -> Iterator[tuple[int, ...]]:
-    """Indices of n cells of a grid of these lengths, one in each n-th part of every axis."""
-    for k in range(n):
-        yield tuple(_middle(k * LATTICE[axis] % n, n, length) for axis, length in lengths.items())
 
 
 def _middle(part: int, parts: int, length: int) -> int:
