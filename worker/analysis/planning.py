@@ -138,17 +138,12 @@ def _wrong_at(
     shown: dict[tuple[int, ...], Any] = {}
     wrong = []
     for setting in settings:
-        nearest = [_nearest(setting, point) for point in points]
-        record = _computed(setting.spec, nearest, shown)
+        indices = zip(level_indices(setting.spec, setting.steps), points.T, strict=True)
+        nearest = [along[np.abs(along - x[:, None]).argmin(axis=1)].tolist() for along, x in indices]
+        record = _computed(setting.spec, list(zip(*nearest, strict=True)), shown)
         differs = np.any([record[name] != getattr(true, name) for name in MODE_ARRAYS], axis=0)
         wrong.append(differs & ~undecided)
     return wrong, undecided
-
-
-def _nearest(setting: Setting, point: NDArray[np.float64]) -> tuple[int, ...]:
-    """The indices of the cell of a level nearest to a place in the grid."""
-    indices = level_indices(setting.spec, setting.steps)
-    return tuple(int(along[np.argmin(np.abs(along - x))]) for along, x in zip(indices, point, strict=True))
 
 
 def _computed(
