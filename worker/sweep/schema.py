@@ -92,19 +92,10 @@ def bytes_per_cell(spec: SweepSpec) -> int:
 
 def layout(spec: SweepSpec, chunk_shape: tuple[int, ...]) -> Layout:
     """Layout of a sweep's store with chunks of `chunk_shape` cells along (xi, omega, gamma)."""
-    extra_sizes = {dim: n for dim, n in sizes(spec).items() if dim not in CELL_DIMS}
     # zarr has no stable form of fixed-length text
     directions = {"direction": np.array(spec.directions, dtype=np.dtypes.StringDType())}
-    whole = grid_layout(
-        spec,
-        chunk_shape,
-        tuple(arrays(spec)),
-        extra_sizes,
-        {},
-        "bouncing spring",
-        spec.model.kind,
-        directions,
-    )
+    title, model = "bouncing spring", spec.model.kind
+    whole = grid_layout(spec, chunk_shape, tuple(arrays(spec)), sizes(spec), {}, title, model, directions)
     if isinstance(spec.model, Stepped):
         steps = stated(spec.model, corners(spec))
         return replace(whole, attributes={**whole.attributes, "time_steps": steps})
