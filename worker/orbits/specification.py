@@ -75,21 +75,15 @@ def grid_points(omega: NDArray[np.float64], periods: int) -> NDArray[np.float64]
     return np.maximum(2.0 * math.pi * periods * rate / 0.2, POINTS)
 
 
-def _to_tuple(value: object) -> object:
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _mode(name: str) -> str:
-    return str(read_mode(name))
-
-
 def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
     check_modes([read_mode(name) for name in names])
     return names
 
 
 Modes = Annotated[
-    tuple[Annotated[str, AfterValidator(_mode)], ...], BeforeValidator(_to_tuple), AfterValidator(_modes)
+    tuple[Annotated[str, AfterValidator(lambda name: str(read_mode(name)))], ...],
+    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
+    AfterValidator(_modes),
 ]
 
 
