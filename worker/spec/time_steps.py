@@ -36,8 +36,7 @@ def corners(spec: Specification) -> Cells:
     makes the contact's depth proportional to Omega**2/Gamma. So the largest number of a grid is at a corner.
     """
     ends = (sorted({*spec.axis_values(axis)[[0, -1]].tolist()}) for axis in Cells._fields)
-    table = np.array(list(product(*ends)))
-    return Cells(table[:, 0], table[:, 1], table[:, 2])
+    return Cells(*np.array(list(product(*ends))).T)
 
 
 def check_steps(model: Stepped, cells: Cells, periods: int) -> None:
