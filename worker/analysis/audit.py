@@ -360,7 +360,6 @@ def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:
 
 
 def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:
-    """The start of a cell of the sweep; None from rest."""
     direction, *cell = index
     chunk = Chunk(0, tuple((i, i + 1) for i in cell), direction)
     return starts_of(spec, chunk, url, complete=True).get((0, 0))

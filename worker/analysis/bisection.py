@@ -321,7 +321,6 @@ def _ramp_on(
 
 
 def _run(spec: SweepSpec, cell: Cell, start: Start | None, patience: int) -> tuple[int, NDArray[np.float64]]:
-    """Outcome and end state of one cell."""
     gamma, omega, xi = (np.array([value]) for value in cell)
     line = run_cells(spec, gamma, omega, xi, start, patience)
     return int(line.outcome[0]), line.end_state[0]

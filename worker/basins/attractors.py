@@ -202,7 +202,6 @@ class _Search:
             ends.time[without], ends.phase[without] = answer["time"], answer["phase"]
 
     def _record(self, request: Request) -> Line:
-        """The whole record of a request."""
         return Line(**self._run(request, lambda line: line._asdict()))
 
     def _run_on(self, which: _Ints, taken: int, observe: int, keep: int) -> Line:

@@ -48,7 +48,6 @@ def _answer(
 
 
 def _fill_in(spec: BasinSpec, basins: Found, record: _Arrays, index: tuple[int, ...]) -> None:
-    """Fill in one cell."""
     ids = np.where(basins.ids <= MAX_ATTRACTORS, basins.ids, 0).astype(np.uint8)
     ids = ids.reshape(spec.protocol.rows, spec.protocol.columns)
     record["attractor"][index] = ids

@@ -204,7 +204,6 @@ class SweepSpec(Specification):
             raise BrokenRuleError("until", f"{needed}; leave it out for {UNTIL:,}")
 
     def _check_exponents(self) -> None:
-        """Check that the model can compute this number of exponents."""
         most = self.model.exponents
         if self.exponents <= most:
             return
