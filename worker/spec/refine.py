@@ -26,9 +26,6 @@ def _no_margin(value: object) -> object:
     return value
 
 
-Margin = Annotated[bool, BeforeValidator(_no_margin)]
-
-
 class Refine(Strict):
     """Compute only the cells near changes of the map; the others take their values from their block.
 
@@ -43,7 +40,7 @@ class Refine(Strict):
         default_factory=lambda fields: COARSEST[fields.get("by", "mode")],
         description="Cells across the first blocks; left out: 16 or 64.",
     )
-    margin: Margin = False
+    margin: Annotated[bool, BeforeValidator(_no_margin)] = False
 
 
 class EarlierRefine(Refine):
