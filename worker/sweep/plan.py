@@ -124,21 +124,16 @@ def _filling(grid: Mapping[str, int], most: int, halved: bool) -> dict[str, int]
     """Chunk sizes of at most `most` lines of a ramp that leave the fewest lanes idle."""
     (slow, height), (fast, width) = grid.items()
 
-    def lanes(size: Mapping[str, int]) -> int:
+    def vectors(size: Mapping[str, int]) -> int:
+        """Vectors of lanes, half of all lanes each, that the lines of all chunks take."""
         rows, columns = ([(part, grid[axis] // part), (grid[axis] % part, 1)] for axis, part in size.items())
-        return sum(n * m * _lanes(a * b) for (a, n), (b, m) in product(rows, columns))
+        return sum(n * m * math.ceil(2 * a * b / LANES) for (a, n), (b, m) in product(rows, columns))
 
     sizes = [
         {slow: even(height, n), fast: min(_up(even(width, most // n), width, halved), most // n)}
         for n in range(1, min(height, most) + 1)
     ]
-    return min(sizes, key=lanes)
-
-
-def _lanes(lines: int) -> int:
-    """Number of lanes that take as long as these lines: whole vectors."""
-    vector = LANES // 2
-    return vector * -(-lines // vector)
+    return min(sizes, key=vectors)
 
 
 def estimate(spec: SweepSpec, plan: Plan) -> Cost:
