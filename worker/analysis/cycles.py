@@ -174,9 +174,8 @@ def follow_cells(
             # an earlier branch that was cut off is a part of the new one
             followed = [(other, line) for other, line in followed if not lies_on(other, new)]
             followed.append((seed, new))
-    lines_of = [line for _, line in followed]
-    micro_flight = spec.micro_flight
-    return _recorded(lines_of, span, POINTS, twice, flights=True, micro_flight=micro_flight, skipped=skipped)
+    own, micro_flight = [line for _, line in followed], spec.micro_flight
+    return _recorded(own, span, POINTS, twice, flights=True, micro_flight=micro_flight, skipped=skipped)
 
 
 def cycle_with(contact: Contact, cell: Cell, periods: int, state: Floats) -> tuple[Branch, Floats] | None:
