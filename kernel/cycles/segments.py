@@ -23,6 +23,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from kernel.cycles.spring import SERIES_BELOW, TERMS
 from kernel.interface import Phase, State, contact, flies, flight, plate_phase, prepare
 from kernel.models.contact_law import chatter_lift, chatter_lift_variation, chatter_push, plate_force
 from kernel.models.flight import remainders
@@ -42,10 +43,6 @@ START: Final = 5
 
 #: Replaces a duration of exactly zero, which is a divisor.
 _SHORTEST: Final = 1e-30
-
-#: Below this rate * time the integrals of a flight are power series: 24 terms leave 1/24! = 2e-24.
-_SHORT: Final = 1.0
-_TERMS: Final = 24
 
 #: Elimination takes the next row if its pivot is at least this part of the largest.
 _PIVOT: Final = 0.05
@@ -124,10 +121,10 @@ def _fall(spring: Any, t: float) -> Fall:
     s_int = (1.0 - c) / (2.0 * w)
     s_int2 = (t - s - 2.0 * b * s_int) / (2.0 * w)
     s_rest, s_int_rest = s - t, s_int - 0.5 * t * t
-    if t * max(math.sqrt(2.0 * w), 2.0 * b) < _SHORT:
+    if t * max(math.sqrt(2.0 * w), 2.0 * b) < SERIES_BELOW:
         before, last, power = 0.0, 1.0, t  # derivatives of s at zero, and t**n/n!
         s_rest, s_int_rest, double = 0.0, 0.0, 0.0
-        for n in range(2, _TERMS):
+        for n in range(2, TERMS):
             before, last = last, -2.0 * b * last - 2.0 * w * before
             power *= t / n
             s_rest += last * power

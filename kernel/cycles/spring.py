@@ -24,8 +24,8 @@ Number = float | complex
 STEP: Final = 1e-40
 
 #: Below this rate * time the integrals of a flight are power series: 24 terms leave 1/24! = 2e-24.
-SHORT: Final = 1.0
-_TERMS: Final = 24
+SERIES_BELOW: Final = 1.0
+TERMS: Final = 24
 
 #: Below this |D| t**2, D being the discriminant, sine and exponentials are series in D, which are smooth
 #: through critical damping: nine terms leave 0.25**9/19! = 3e-23.
@@ -121,7 +121,7 @@ def flight(k: Spring, t: Array) -> Flight:
     s_int = (1.0 - f.c) / (2.0 * w)
     s_int2 = (t - f.s - 2.0 * b * s_int) / (2.0 * w)
     s_rest, s_int_rest = f.s - t, s_int - 0.5 * t * t
-    near = np.real(t) * max(np.sqrt(2.0 * abs(w)), 2.0 * abs(b)) < SHORT
+    near = np.real(t) * max(np.sqrt(2.0 * abs(w)), 2.0 * abs(b)) < SERIES_BELOW
     if near.any():
         x = t[near]
         s_rest[near], s_int_rest[near], double = _summed(x, 2, _response_series(b, w))
@@ -131,7 +131,7 @@ def flight(k: Spring, t: Array) -> Flight:
     half = np.sin(0.5 * t)
     versine = 2.0 * half * half
     sin_rest, cos_rest = t - sin, versine - 0.5 * t * t
-    near = np.real(t) < SHORT
+    near = np.real(t) < SERIES_BELOW
     if near.any():
         sin_rest[near], cos_rest[near] = _summed(t[near], 3, _CIRCULAR_SERIES)
     return Flight(f, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine, sin, cos)
@@ -142,11 +142,11 @@ def _response_series(b: Number, w: Number) -> Array:
     """Coefficients (m, 3) of t**2, t**3, ... in s - t, in its integral, and in the integral of that."""
     before, last, factorial = 0.0 * b, 1.0 + 0.0 * b, 1.0
     rows = []
-    for n in range(2, _TERMS):
+    for n in range(2, TERMS):
         before, last = last, -2.0 * b * last - 2.0 * w * before  # the n-th derivative of s at zero
         factorial *= n
         rows.append(last / factorial)
-    order = np.arange(2.0, _TERMS)
+    order = np.arange(2.0, TERMS)
     series = np.zeros((len(order) + 2, 3), np.asarray(rows).dtype)
     series[:-2, 0] = rows
     series[1:-1, 1] = rows / (order + 1.0)
@@ -156,7 +156,7 @@ def _response_series(b: Number, w: Number) -> Array:
 
 def _circular_series() -> Array:
     """Coefficients (m, 2) of t**3, t**4, ... in t - sin t and in 1 - cos t - t**2/2."""
-    terms = [(-1.0) ** (n // 2 + 1) / math.factorial(n) for n in range(3, _TERMS)]
+    terms = [(-1.0) ** (n // 2 + 1) / math.factorial(n) for n in range(3, TERMS)]
     return np.array([[a, 0.0] if n % 2 else [0.0, a] for n, a in enumerate(terms, 3)])
 
 
