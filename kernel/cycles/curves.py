@@ -207,7 +207,6 @@ def curves(
 
 
 def _is_traced(plane: _Plane, traced: list[tuple[Kind, Floats]], kind: Kind, t: float, p: float) -> bool:
-    """Whether a traced curve passes through (t, p)."""
     sides = plane.sides()
     for other, line in traced:
         if other is not kind:
