@@ -232,8 +232,7 @@ def _jump(line: Branch, events: Events) -> float:
     if not lives[0] or lives.all():
         return math.nan
     last = int(np.argmin(lives))
-    between = (events.flight_time >= line.flight_time[last - 1]) & (
-        events.flight_time <= line.flight_time[last]
-    )
+    low, high = line.flight_time[last - 1 : last + 1]
+    between = (events.flight_time >= low) & (events.flight_time <= high)
     folds = np.flatnonzero(between & (events.kind == Kind.FOLD))
     return float(events.gamma[folds[0]]) if len(folds) else math.nan
