@@ -286,18 +286,18 @@ class _Search:
         which = which[self._ends.outcome[which] == Outcome.APERIODIC]
         samples: list[_Sample] = []
         groups: list[list[int]] = []
-        chosen = _spread(which, REPRESENTATIVES)
+        chosen, flights = _spread(which, REPRESENTATIVES), (self._ends.time[which], self._ends.phase[which])
         for _ in range(SEARCHES if len(which) else 0):
             line = self._run_on(chosen, taken, LONG_WINDOW, LONG_FLIGHTS)
             samples += self._samples(line)
             before, groups = len(groups), _linked(samples)
             if len(groups) == before or len(chosen) == len(which):
                 break
-            distance = _distances(self._flights(which), samples, groups).min(axis=1)
+            distance = _distances(flights, samples, groups).min(axis=1)
             chosen = which[np.argsort(-distance, kind="stable")[:REPRESENTATIVES]]
         if not groups:
             return
-        distance = _distances(self._flights(which), samples, groups)
+        distance = _distances(flights, samples, groups)
         nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
         numbers = np.array([self._new(_pooled([samples[i] for i in group], rate)) for group in groups])
         self._owner[which] = numbers[nearest]
@@ -324,9 +324,6 @@ class _Search:
             return False
         request = Request(cycle.state[None], 0, LONG_WINDOW, CYCLE_FLIGHTS, certify=True)
         return bool(np.isfinite(self._record(request).flight_error[0]))
-
-    def _flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
-        return self._ends.time[which], self._ends.phase[which]
 
     def _last_flights(self, which: _Ints) -> tuple[_Flights, _Flights]:
         """Flights of one more window of starts with any outcome: times and phases."""
