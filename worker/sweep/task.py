@@ -17,8 +17,6 @@ from worker.sweep.protocols import Ramp
 from worker.sweep.specification import AXES, SweepSpec, start_of
 from worker.work import FIRST_STEPS, Work, plate_of
 
-#: Position of a line among the lines of its chunk.
-_LineIndex = tuple[int, int]
 _Arrays = dict[str, NDArray[Any]]
 
 
@@ -105,8 +103,8 @@ def _line_run(
 
 def starts_of(
     spec: SweepSpec, chunk: Chunk, store_url: str, *, complete: bool = False
-) -> dict[_LineIndex, Start | None]:
-    """The start of each line of a ramp's chunk; empty if all lines start from rest.
+) -> dict[tuple[int, int], Start | None]:
+    """The start of each line of a ramp's chunk, by its place there; empty if all lines start from rest.
 
     complete: as in `store.read_chunk`. Raises PredecessorMissing, or a `store.StoreError`.
     """
@@ -122,7 +120,7 @@ def starts_of(
     return {index: _start_at(previous, (*index, 0)) for index in np.ndindex(previous["outcome"].shape[:2])}
 
 
-def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[_LineIndex, Start | None]:
+def _starts_on_cycles(spec: SweepSpec, chunk: Chunk) -> dict[tuple[int, int], Start | None]:
     """The start of each line in the first chunk of a ramp, on a cycle if the specification says so."""
     cycle = spec.protocol.start if isinstance(spec.protocol, Ramp) else None
     if cycle is None:
