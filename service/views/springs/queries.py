@@ -45,6 +45,8 @@ class ContactQuery(Query):
                 raise InvalidRequest.of("model", f"is required with {', '.join(given)}: rigid or soft")
             return None
         fields = _CONTACTS[given.pop("model")]
+        if others := given.keys() - fields.model_fields:
+            raise InvalidRequest.of(min(others), f"is of soft, not of {self.model}")
         try:
             return fields(**given)
         except SpecInvalid as error:

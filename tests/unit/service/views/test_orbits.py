@@ -128,7 +128,7 @@ def test_a_search_that_finds_nothing_leaves_the_fold_that_is_known():
     ({"model": "ball"}, "model: must be 'rigid' or 'soft', not text 'ball'"),
     ({"model": "stepped"}, "model: must be 'rigid' or 'soft'"),
     ({"restitution": 0.3}, "model: is required with restitution"),
-    ({"model": "rigid", "penetration": 0.01}, "penetration: is not a field here"),
+    ({"model": "rigid", "penetration": 0.01}, "penetration: is of soft, not of rigid"),
     ({"model": "soft", "restitution": 1}, "restitution: must be below 1, not 1"),
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
     ({"model": "soft", "flight_start": 0.0}, "flight_start: is of the closed form"),
