@@ -22,7 +22,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, ClassVar, Final
+from types import CodeType
+from typing import Any, Final
 
 from numba import types
 from numba.core import typed_passes as typed
@@ -43,7 +44,6 @@ from kernel.numerics.cache import cache_folder, compiling
 _PASSES: Final = (
     untyped.TranslateByteCode,
     untyped.FixupArgs,
-    untyped.IRProcessing,
     untyped.InlineClosureLikes,
     untyped.RewriteSemanticConstants,
     untyped.DeadBranchPrune,
@@ -56,11 +56,11 @@ _PASSES: Final = (
     typed.NoPythonBackend,
 )
 
-#: The modules of operators and functions whose types `_Typing` remembers, and the types of their arguments.
+#: The modules of operators and functions whose calls' types are remembered, and the types of their arguments.
 _BUILT_IN: Final = frozenset({"_operator", "builtins", "math", "kernel.numerics.elementary"})
 _VALUES: Final = (
     types.Float, types.Complex, types.Integer, types.IntegerLiteral, types.Boolean, types.BooleanLiteral,
-    types.Array,
+    types.Array, types.Omitted,
 )  # fmt: skip
 
 #: Functions that are not inlined into their callers.
@@ -212,9 +212,7 @@ class _Flags(Flags):
 
 
 class _Typing:
-    """numba's typing context, which remembers the types of operators: numba tries dozens each time."""
-
-    _known: ClassVar[dict[tuple[Any, ...], Any]] = {}
+    """numba's typing context, in which operators remember the types of their calls."""
 
     def __init__(self, context: Any) -> None:
         self._context = context
@@ -224,12 +222,36 @@ class _Typing:
 
     def resolve_function_type(self, function: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
         module = getattr(getattr(function, "typing_key", None), "__module__", None)
-        if kws or module not in _BUILT_IN or not all(type(arg) in _VALUES for arg in args):
-            return self._context.resolve_function_type(function, args, kws)
-        call = (function.typing_key, args)
-        if call not in self._known:
-            self._known[call] = self._context.resolve_function_type(function, args, kws)
-        return self._known[call]
+        if module in _BUILT_IN and "get_call_type" not in vars(function):
+            function.get_call_type = _remembering(function.get_call_type)
+        return self._context.resolve_function_type(function, args, kws)
+
+
+def _remembering(resolve: Callable[..., Any]) -> Callable[..., Any]:
+    """The `get_call_type` of an operator, which asks `resolve` once: that tries dozens of rules."""
+    known: dict[tuple[Any, ...], Any] = {}
+
+    def get_call_type(context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+        if kws or not all(type(arg) in _VALUES for arg in args):
+            return resolve(context, args, kws)
+        if args not in known:
+            known[args] = resolve(context, args, kws)
+        return known[args]
+
+    return get_call_type
+
+
+class _Passes(PassManager):
+    """numba's passes one after the other, without the checks and tables that it makes after each."""
+
+    def _runPass(self, index: int, each: Any, state: Any) -> None:  # noqa: N802 - numba's
+        if isinstance(each, untyped.InlineClosureLikes):
+            needed = any(isinstance(constant, CodeType) for constant in state.func_id.code.co_consts)
+        else:  # which says where variables end, for the counts of references
+            needed = state.flags.nrt or not isinstance(each, typed.IRLegalization)
+        if needed:
+            each.analysis = self._analysis
+            each.run_pass(state)
 
 
 class _Compiler(CompilerBase):
@@ -241,7 +263,7 @@ class _Compiler(CompilerBase):
         super().__init__(_Typing(typing), target, library, args, returned, _Flags(flags), locals)
 
     def define_pipelines(self) -> list[PassManager]:
-        passes = PassManager("kernel")
+        passes = _Passes("kernel")
         for needed in _PASSES:
             passes.add_pass(needed, needed.__name__)
         passes.finalize()
