@@ -316,7 +316,7 @@ def _along(event: Event, along: Parameter, step: float, span: tuple[float, float
 
 
 def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> Point | None:
-    """The event of a kind on the branch near x (m,), by the secant rule; None if there is no admissible one."""
+    """The event of a kind on the branch near x (m,), by the secant rule; None without an admissible one."""
     node = cycles.newton(x, tangent)
     if node is None:
         return None

@@ -50,7 +50,7 @@ class Simulated:
         return "audited"
 
 
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(st.floats(1e-5, 1e-2), st.floats(0.0, 0.5), st.floats(0.3, 3.0), st.floats(20.0, 900.0))
 def test_a_budget_is_never_missed(cell, start, guess, budget):
     runner = Simulated(cell, start, guess)
@@ -62,7 +62,7 @@ def test_a_budget_is_never_missed(cell, start, guess, budget):
 
 def test_a_budget_is_used():
     rng, used = np.random.default_rng(1), []
-    for _ in range(200):
+    for _ in range(80):
         cell, guess, budget = np.exp(rng.uniform(*np.log([[1e-4, 0.3, 20.0], [1e-2, 3.0, 900.0]])))
         began = rng.choice([0.0, 4.0])
         runner = Simulated(cell, rng.uniform(0.0, 0.5), guess)

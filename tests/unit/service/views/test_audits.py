@@ -102,11 +102,7 @@ def test_cells_of_a_ramp_are_computed_again_from_where_they_began(client: TestCl
 
 
 def test_certified_cells_are_not_drawn_and_the_bounds_of_the_others_are_scaled(client: TestClient):
-    small = PLANE | {
-        "gamma": {"start": 0.8, "stop": 4, "num": 12},
-        "omega": {"start": 0.4, "stop": 1, "num": 8},
-    }
-    job = finished(client, small)
+    job = finished(client, spec_of((0.8, 4, 12), (0.4, 1.0, 8), 0.1))
     modes = from_json(client.get(f"{job}/modes", params={"color": "multiplier"}).content)
     rest = int(modes.flight_error.isnull().sum())
     found = audited(client, job, cells=rest - 5)
@@ -221,10 +217,7 @@ def test_a_job_that_is_not_done_has_no_audit(tmp_path):
 
 
 def test_a_plan_tells_what_a_budget_buys(client: TestClient):
-    spec = PLANE | {
-        "gamma": {"start": 0.8, "stop": 4, "num": 96},
-        "omega": {"start": 0.4, "stop": 1, "num": 64},
-    }
+    spec = spec_of((0.8, 4, 48), (0.4, 1.0, 32), 0.3)
     found = from_json(waited(client, "POST", "/v1/plans?budget=60", json=spec).content)
     rows = {name: found[name].values.tolist() for name in found.data_vars}
     assert sum(rows["recommended"]) == 1
@@ -248,14 +241,8 @@ def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
     assert [recommended([2, 1, 0], shares, tolerance) for tolerance in tolerances] == [2, 1, 0, 0]
 
 
-def test_a_plan_that_would_take_hours_is_refused_before_it_begins(client: TestClient):
+def test_a_plan_that_would_take_hours_or_is_of_a_ramp_is_refused_before_it_begins(client: TestClient):
     fine = {"kind": "stepped", "steps_per_contact": 100, "penetration": 1e-4}
-    answer = client.post("/v1/plans", json=PLANE | {"model": fine})
-    assert answer.status_code == 413
-    assert "core-seconds" in answer.text
-
-
-def test_a_ramp_has_no_plan(client: TestClient):
-    answer = client.post("/v1/plans", json=RAMP)
-    assert answer.status_code == 422
-    assert "protocol.kind" in answer.text
+    for spec, status, said in ((PLANE | {"model": fine}, 413, "core-seconds"), (RAMP, 422, "protocol.kind")):
+        answer = client.post("/v1/plans", json=spec)
+        assert (answer.status_code, said in answer.text) == (status, True)

@@ -8,7 +8,7 @@ from scipy import stats
 from worker.analysis.intervals import bounds, covered, percent
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.integers(60, 100_000), st.floats(0, 1), st.integers(20, 200))
 def test_an_interval_holds_the_truth_with_94_percent_whatever_it_is(population, share, sampled):
     """Summed over all samples, by SciPy's hypergeometric distribution."""

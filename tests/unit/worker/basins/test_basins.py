@@ -19,10 +19,10 @@ from kernel.params import STATE_FIELDS, Line, Outcome
 from worker import store, work
 from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
-from worker.basins.specification import BasinSpec
 from worker.basins.starts import starts_of
 from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
+from worker.studies import parse
 from worker.study import ChunkOptions, ChunkPaused
 from worker.study.chunks import with_options
 from worker.study.layout import empty_record
@@ -36,10 +36,15 @@ SPEC: dict[str, Any] = {
 }  # fmt: skip
 
 
-def basin(**fields: Any) -> BasinSpec:
+#: The kind of study beside this one, which has rules of its own.
+SEVERAL: dict[str, Any] = {"kind": "multistability"}
+
+
+def basin(**fields: Any) -> Any:
     """A specification like SPEC with some fields of the protocol, or others, changed."""
-    protocol = {name: fields.pop(name) for name in ("plane", "rows", "columns", "height") if name in fields}
-    return BasinSpec.parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
+    names = ("kind", "plane", "rows", "columns", "height")
+    protocol = {name: fields.pop(name) for name in names if name in fields}
+    return parse(SPEC | fields | {"protocol": SPEC["protocol"] | protocol})
 
 
 def search(
@@ -247,6 +252,11 @@ def test_other_contacts_have_basins(tmp_path: Path, kind: str):
         ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
         ({"exponents": 4}, "exponents: must be at most 3"),
         ({"settle_until": 10}, "settle_until: must be at least settle + 2 × observe, "),
+        (SEVERAL | {"rows": 64, "columns": 32}, "protocol.rows: must be at most 32 with 32 columns"),
+        (SEVERAL | {"rows": 1, "columns": 1025}, "protocol.columns: must be at most 1024, not 1025"),
+        (SEVERAL | {"plane": "contact"}, "protocol.plane: must be 'drop'"),
+        (SEVERAL | {"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
+        (SEVERAL | {"exponents": 1}, "exponents: is not a field here"),
     ],
 )
 def test_broken_rules_are_named(changes: dict[str, Any], rule: str):

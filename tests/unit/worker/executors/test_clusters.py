@@ -52,7 +52,8 @@ def test_a_scheduler_file_is_waited_for_at_first_and_read_each_time(
         target.find()
 
 
-def test_a_cluster_is_made_once_and_again_when_it_has_ended(now: list[float]):
+def test_a_cluster_is_made_again_when_it_has_ended_or_its_scheduler_does_not_answer(now: list[float]):
+    """Several times in a row; those of the cluster before do not count."""
     made: list[Cluster] = []
 
     def make() -> Cluster:
@@ -60,42 +61,28 @@ def test_a_cluster_is_made_once_and_again_when_it_has_ended(now: list[float]):
         return made[-1]
 
     target = CreatedCluster(make, "mine")
+    target.unanswered()
     assert target.planned() is None
     assert target.find() is target.find() is made[0]
-    assert target.planned() == 1
+    for _ in range(UNANSWERED - 1):
+        target.unanswered()
+    assert (target.planned(), made[0].closed) == (1, 0)
     made[0].status = SimpleNamespace(name="closing")
     with pytest.raises(ClusterLost, match=r"no cluster from mine; made again in 10 s"):
         target.find()
     assert made[0].closed == 1
     now[0] += MAKE_SECONDS
     assert target.find() is made[1]
-    assert target.planned() == 2
-    target.close()
-    target.close()
+    for _ in range(UNANSWERED - 1):
+        target.unanswered()
+    assert (target.planned(), made[1].closed) == (2, 0)
+    target.unanswered()
     assert made[1].closed == 1
-    assert target.planned() is None
-
-
-def test_a_cluster_whose_scheduler_does_not_answer_several_times_in_a_row_is_made_again(now: list[float]):
-    made: list[Cluster] = []
-
-    def make() -> Cluster:
-        made.append(Cluster())
-        return made[-1]
-
-    target = CreatedCluster(make, "mine")
-    target.unanswered()
-    target.find()
-    for _ in range(UNANSWERED - 1):
-        target.unanswered()
-    assert made[0].closed == 0
-    target.unanswered()
-    assert made[0].closed == 1
     now[0] += MAKE_SECONDS
-    target.find()
-    for _ in range(UNANSWERED - 1):
-        target.unanswered()
-    assert made[1].closed == 0
+    assert target.find() is made[2]
+    target.close()
+    target.close()
+    assert (target.planned(), made[2].closed) == (None, 1)
 
 
 def test_a_function_that_returns_no_cluster_is_told_so():

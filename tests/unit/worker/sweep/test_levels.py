@@ -9,7 +9,7 @@ from worker.sweep.levels import WHOLE, cells, coarsest, finest, level
 LENGTHS = st.integers(1, 400)
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(LENGTHS, LENGTHS, st.integers(1, 6), st.lists(st.floats(1.2, 9.0), min_size=4, max_size=4))
 def test_levels_contain_each_other_up_to_the_sweep_itself(gamma, omega, xi, factors):
     values = {"gamma": gamma, "omega": omega, "xi": xi}
