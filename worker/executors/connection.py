@@ -2,7 +2,6 @@
 
 import contextlib
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -10,7 +9,6 @@ from typing import Any, Final
 
 import dask
 from distributed import Client, WorkerPlugin
-from distributed.comm.addressing import get_address_host_port
 
 from worker.executors.base import ClusterLost
 from worker.executors.clusters import NO_SCHEDULER, SCHEDULER_SETTINGS, Target, environment_variable
@@ -29,7 +27,18 @@ class _ClientOfOneConnection(Client):
     """A client that does not reconnect by itself: `SchedulerConnection` replaces it.
 
     If closed while it reconnects, distributed leaves the new connection open until this process ends.
+    If it cannot connect, distributed leaves its thread and three files; and it waits for the first answer of
+    a frozen scheduler indefinitely.
     """
+
+    def start(self, **options: Any) -> None:
+        """Called by distributed when the client is made. Each of three answers may take the time-out."""
+        try:
+            super().start(**options, callback_timeout=3 * options["timeout"])  # type: ignore[no-untyped-call]
+        except BaseException:
+            self._loop_runner.stop()  # type: ignore[no-untyped-call]
+            self.status = "closed"
+            raise
 
     async def _reconnect(self) -> None:
         self.scheduler_comm = None
@@ -104,24 +113,14 @@ class SchedulerConnection:
         self._monitor.join(2 * PING_SECONDS)
         self._client.close()
 
-    def _connect(self, timeout: float, *, check: bool = False) -> Any:
-        """A client. `check`: whether to look first if anybody listens.
-
-        A distributed client that finds nobody keeps its thread and three files until this process ends:
-        retried every second, they would run out within hours.
-        """
+    def _connect(self, timeout: float) -> Any:
         address: Any = "an unknown address"
         try:
             address = self._target.find()
-            if isinstance(address, str):
-                # With a malformed one, a client takes a minute to close.
-                listener = get_address_host_port(address)
-                if check:
-                    socket.create_connection(listener, timeout).close()
             return _ClientOfOneConnection(  # type: ignore[no-untyped-call]
                 address, timeout=timeout, set_as_default=False, security=self._security
             )
-        except NO_SCHEDULER as error:
+        except (*NO_SCHEDULER, RuntimeError) as error:  # the last: TLS is set, and the address is not tls://
             self._target.unanswered()
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
@@ -173,7 +172,7 @@ class SchedulerConnection:
         """Connect again if the connection is lost; register with the scheduler that answers."""
         if self._client.status != "running":
             self._registered = False
-            lost, self._client = self._client, self._connect(PING_SECONDS, check=True)
+            lost, self._client = self._client, self._connect(PING_SECONDS)
             with contextlib.suppress(Exception):
                 lost.close(timeout=RETRY_SECONDS)
             self._on_lost(lost)

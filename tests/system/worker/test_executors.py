@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import socket
 import threading
 import time
 from contextlib import closing
@@ -10,7 +11,7 @@ from contextlib import closing
 import dask
 import psutil
 import pytest
-from distributed import LocalCluster
+from distributed import LocalCluster, Security
 from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
@@ -33,13 +34,20 @@ def test_the_cluster_listens_on_loopback_only(cluster):
     assert set(listening) == {"127.0.0.1"}
 
 
-def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
-    with pytest.raises(ClusterLost, match=re.escape("no scheduler answers at tcp://127.0.0.1:9")):
-        Dask("tcp://127.0.0.1:9", timeout=0.5)
-    before = set(threading.enumerate())
-    with pytest.raises(ClusterLost, match="no scheduler answers at nonsense"):
-        Dask("nonsense")
-    wait_for(lambda: set(threading.enumerate()) <= before)
+def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread_and_no_file():
+    def fails(address, security=None):
+        with pytest.raises(ClusterLost, match=re.escape(f"no scheduler answers at {address}: ")):
+            Dask(address, security=security, timeout=0.5)
+
+    fails("tcp://127.0.0.1:9")
+    threads, files = set(threading.enumerate()), psutil.Process().num_fds()
+    fails("tcp://127.0.0.1:9")
+    fails("nonsense")
+    with socket.create_server(("127.0.0.1", 0)) as frozen:  # it takes connections and answers nothing
+        address = f"tcp://127.0.0.1:{frozen.getsockname()[1]}"
+        fails(address)
+        fails(address, Security.temporary())
+    wait_for(lambda: set(threading.enumerate()) <= threads and psutil.Process().num_fds() <= files)
 
 
 def test_a_cancelled_task_takes_no_other_with_it(cluster):
