@@ -1,5 +1,6 @@
 """The connection to a Dask scheduler, restored when the scheduler dies, freezes or is replaced."""
 
+import asyncio
 import contextlib
 import logging
 import threading
@@ -102,7 +103,8 @@ class SchedulerConnection:
 
         async def tell() -> None:
             with contextlib.suppress(Exception):  # the next demand tries again
-                await client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
+                call = client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
+                await asyncio.wait_for(call, PING_SECONDS)  # each waiting call holds a connection
 
         if client.status == "running":
             client.loop.add_callback(tell)

@@ -1,5 +1,6 @@
 """The executor on a cluster: who listens, who is replaced, and errors that name the cause."""
 
+import asyncio
 import os
 import re
 import signal
@@ -48,6 +49,20 @@ def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread_and_no_
         fails(address)
         fails(address, Security.temporary())
     wait_for(lambda: set(threading.enumerate()) <= threads and psutil.Process().num_fds() <= files)
+
+
+def test_demands_on_a_frozen_scheduler_hold_no_connections():
+    async def freeze(**_):
+        await asyncio.Event().wait()
+
+    with LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster:
+        cluster.scheduler.handlers["set_metadata"] = freeze
+        with closing(Dask(cluster.scheduler_address)) as executor:
+            connections = executor._connection.client.rpc
+            for tasks in range(3):
+                executor.ask_for(1.0, tasks)
+            wait_for(lambda: connections.active == 3)
+            wait_for(lambda: connections.active == 0)
 
 
 def test_a_cancelled_task_takes_no_other_with_it(cluster):
