@@ -25,10 +25,7 @@ PARENTS = {"kernel", "worker", "service"}
 ALLOWED = {
     "kernel": {"numpy", "numba", "flint"},
     "kernel.params": {"numpy"},
-    "worker": {
-        "numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed",
-        "cloudpickle",
-    },
+    "worker": {"numpy", "numba", "pydantic", "zarr", "numcodecs", "obstore", "xarray", "dask", "distributed"},
     "worker.spec": {"numpy", "pydantic"},
     "worker.study": {"numpy", "pydantic"},
     "service.client": {

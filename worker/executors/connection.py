@@ -1,8 +1,8 @@
 """The connection to a Dask scheduler, restored when the scheduler dies, freezes or is replaced."""
 
+import asyncio
 import contextlib
 import logging
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import dask
 from distributed import Client, WorkerPlugin
-from distributed.comm.addressing import get_address_host_port
 
 from worker.executors.base import ClusterLost
 from worker.executors.clusters import NO_SCHEDULER, SCHEDULER_SETTINGS, Target, environment_variable
@@ -29,7 +28,18 @@ class _ClientOfOneConnection(Client):
     """A client that does not reconnect by itself: `SchedulerConnection` replaces it.
 
     If closed while it reconnects, distributed leaves the new connection open until this process ends.
+    If it cannot connect, distributed leaves its thread and three files; and it waits for the first answer of
+    a frozen scheduler indefinitely.
     """
+
+    def start(self, **options: Any) -> None:
+        """Called by distributed when the client is made. Each of three answers may take the time-out."""
+        try:
+            super().start(**options, callback_timeout=3 * options["timeout"])  # type: ignore[no-untyped-call]
+        except BaseException:
+            self._loop_runner.stop()  # type: ignore[no-untyped-call]
+            self.status = "closed"
+            raise
 
     async def _reconnect(self) -> None:
         self.scheduler_comm = None
@@ -93,7 +103,8 @@ class SchedulerConnection:
 
         async def tell() -> None:
             with contextlib.suppress(Exception):  # the next demand tries again
-                await client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
+                call = client.scheduler.set_metadata(keys=[DEMAND, client.id], value=(seconds, tasks))
+                await asyncio.wait_for(call, PING_SECONDS)  # each waiting call holds a connection
 
         if client.status == "running":
             client.loop.add_callback(tell)
@@ -104,24 +115,14 @@ class SchedulerConnection:
         self._monitor.join(2 * PING_SECONDS)
         self._client.close()
 
-    def _connect(self, timeout: float, *, check: bool = False) -> Any:
-        """A client. `check`: whether to look first if anybody listens.
-
-        A distributed client that finds nobody keeps its thread and three files until this process ends:
-        retried every second, they would run out within hours.
-        """
+    def _connect(self, timeout: float) -> Any:
         address: Any = "an unknown address"
         try:
             address = self._target.find()
-            if isinstance(address, str):
-                # With a malformed one, a client takes a minute to close.
-                listener = get_address_host_port(address)
-                if check:
-                    socket.create_connection(listener, timeout).close()
             return _ClientOfOneConnection(  # type: ignore[no-untyped-call]
                 address, timeout=timeout, set_as_default=False, security=self._security
             )
-        except NO_SCHEDULER as error:
+        except (*NO_SCHEDULER, RuntimeError) as error:  # the last: TLS is set, and the address is not tls://
             self._target.unanswered()
             raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
 
@@ -173,7 +174,7 @@ class SchedulerConnection:
         """Connect again if the connection is lost; register with the scheduler that answers."""
         if self._client.status != "running":
             self._registered = False
-            lost, self._client = self._client, self._connect(PING_SECONDS, check=True)
+            lost, self._client = self._client, self._connect(PING_SECONDS)
             with contextlib.suppress(Exception):
                 lost.close(timeout=RETRY_SECONDS)
             self._on_lost(lost)

@@ -3,13 +3,15 @@
 A worker with another kernel computes other numbers; one without the stores, or unable to load the kernel,
 fails every chunk. Such workers are refused before their first chunk, with the reason.
 
-A worker that cannot unpickle a plugin ends, and one that is to be refused may lack this project: the plugins
-are pickled with their code. At its top this module imports the standard library and distributed only.
+A worker that cannot unpickle a plugin ends, and one that is to be refused may lack this project or run
+another Python: the plugins are pickled with their source. At its top this module imports the standard library
+and distributed only.
 """
 
 from __future__ import annotations
 
 import asyncio
+import functools
 import hashlib
 import importlib
 import logging
@@ -24,9 +26,9 @@ import threading
 import time
 from collections.abc import Mapping
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Final
 
-import cloudpickle
 import dask
 from dask.utils import parse_timedelta
 from distributed import SchedulerPlugin, Status, WorkerPlugin, get_worker
@@ -45,6 +47,8 @@ JUDGE_SECONDS: Final = 5.0
 REPORT_SECONDS, PAUSE_SECONDS = 0.2, 1.0
 #: Libraries on whose versions stored numbers or bytes depend.
 _LIBRARIES: Final = ("numpy", "numba", "zarr", "numcodecs")
+#: Makes an object from the source of its class. Compiled code would fit one minor version of Python.
+_MAKE: Final = "exec(source, module := {'__name__': name}) or module[name](*arguments)"
 
 
 class WorkerAdmission(WorkerPlugin):
@@ -64,6 +68,9 @@ class WorkerAdmission(WorkerPlugin):
         self.release = release_of(facts)
         self.refusal = NOT_JUDGED  # why the worker is refused
         self._removed = False
+
+    def __reduce__(self) -> Any:
+        return _from_source(type(self), self._facts, self._stores, self._cache)
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
@@ -131,6 +138,16 @@ class WorkerAdmission(WorkerPlugin):
         worker.loop.add_callback(_end, worker, 128 + signal.SIGTERM)
 
 
+def _from_source(made: type, *arguments: Any) -> Any:
+    """For `__reduce__`: an object that unpickles as `made(*arguments)` without this module."""
+    return eval, (_MAKE, {"source": _source(), "name": made.__name__, "arguments": arguments})
+
+
+@functools.cache
+def _source() -> str:
+    return Path(__file__).read_text()
+
+
 def facts() -> dict[str, str]:
     """The properties of this process that the stored bytes depend on, by name.
 
@@ -145,6 +162,7 @@ def facts() -> dict[str, str]:
         **{f"package {name}": digest_of(name) for name in ("kernel", "worker")},
         **{name: version(name) for name in _LIBRARIES},
         "kind of processor": platform.machine(),
+        "Python": ".".join(platform.python_version_tuple()[:2]),
     }
 
 
@@ -252,6 +270,9 @@ class Demand(SchedulerPlugin):
     name = "bouncing-spring-demand"
     idempotent = True
 
+    def __reduce__(self) -> Any:
+        return _from_source(type(self))
+
     async def start(self, scheduler: Any) -> None:
         """Called by distributed in the scheduler's process."""
         self._scheduler, self._by_tasks = scheduler, scheduler.adaptive_target
@@ -270,7 +291,3 @@ class Demand(SchedulerPlugin):
         wanted: int = sum(min(tasks, math.ceil(seconds / duration)) for seconds, tasks in needs)
         paused: int = sum(worker.status == Status.paused for worker in self._scheduler.workers.values())
         return max(by_tasks, wanted + paused) if wanted else by_tasks
-
-
-# By value: a worker without this project could not import the module by name.
-cloudpickle.register_pickle_by_value(sys.modules[__name__])

@@ -1,8 +1,10 @@
 """The executor on a cluster: who listens, who is replaced, and errors that name the cause."""
 
+import asyncio
 import os
 import re
 import signal
+import socket
 import threading
 import time
 from contextlib import closing
@@ -10,7 +12,7 @@ from contextlib import closing
 import dask
 import psutil
 import pytest
-from distributed import LocalCluster
+from distributed import LocalCluster, Security
 from harm import Stuck
 from paths import CACHE
 from scripted import DEADLINE, wait_for
@@ -33,13 +35,34 @@ def test_the_cluster_listens_on_loopback_only(cluster):
     assert set(listening) == {"127.0.0.1"}
 
 
-def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread():
-    with pytest.raises(ClusterLost, match=re.escape("no scheduler answers at tcp://127.0.0.1:9")):
-        Dask("tcp://127.0.0.1:9", timeout=0.5)
-    before = set(threading.enumerate())
-    with pytest.raises(ClusterLost, match="no scheduler answers at nonsense"):
-        Dask("nonsense")
-    wait_for(lambda: set(threading.enumerate()) <= before)
+def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread_and_no_file():
+    def fails(address, security=None):
+        with pytest.raises(ClusterLost, match=re.escape(f"no scheduler answers at {address}: ")):
+            Dask(address, security=security, timeout=0.5)
+
+    fails("tcp://127.0.0.1:9")
+    threads, files = set(threading.enumerate()), psutil.Process().num_fds()
+    fails("tcp://127.0.0.1:9")
+    fails("nonsense")
+    with socket.create_server(("127.0.0.1", 0)) as frozen:  # it takes connections and answers nothing
+        address = f"tcp://127.0.0.1:{frozen.getsockname()[1]}"
+        fails(address)
+        fails(address, Security.temporary())
+    wait_for(lambda: set(threading.enumerate()) <= threads and psutil.Process().num_fds() <= files)
+
+
+def test_demands_on_a_frozen_scheduler_hold_no_connections():
+    async def freeze(**_):
+        await asyncio.Event().wait()
+
+    with LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as cluster:
+        cluster.scheduler.handlers["set_metadata"] = freeze
+        with closing(Dask(cluster.scheduler_address)) as executor:
+            connections = executor._connection.client.rpc
+            for tasks in range(3):
+                executor.ask_for(1.0, tasks)
+            wait_for(lambda: connections.active == 3)
+            wait_for(lambda: connections.active == 0)
 
 
 def test_a_cancelled_task_takes_no_other_with_it(cluster):

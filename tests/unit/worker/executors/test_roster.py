@@ -1,20 +1,37 @@
 """What is known of workers: the events of their plugin, what the cluster tells, what it is asked for."""
 
 import asyncio
+import io
+import pickle
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from distributed import Status
+from distributed.protocol.pickle import dumps
 from tables import for_each
 
 from worker.executors.base import ClusterState
-from worker.executors.plugins import DEMAND, Demand
+from worker.executors.plugins import DEMAND, Demand, WorkerAdmission
 from worker.executors.roster import Roster
 
 
 def event(worker: str, **what: Any) -> dict[str, Any]:
     return {"worker": worker, "host": f"host of {worker}", "process": 7, **what}
+
+
+@pytest.mark.parametrize("plugin", [WorkerAdmission({"Python": "3.11"}, ("stores", "mark")), Demand()])
+def test_every_python_can_unpickle_the_plugins_without_this_project(plugin: Any):
+    imported = []
+
+    class Unpickler(pickle.Unpickler):
+        def find_class(self, module: str, name: str) -> Any:
+            imported.append((module, name))
+            return super().find_class(module, name)
+
+    made = Unpickler(io.BytesIO(dumps(plugin))).load()  # type: ignore[no-untyped-call]
+    assert imported == [("builtins", "eval")]
+    assert vars(made) == vars(plugin)
 
 
 def test_a_refused_worker_is_listed_until_it_is_admitted_or_gone(caplog: pytest.LogCaptureFixture):
