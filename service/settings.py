@@ -9,6 +9,7 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
+    FilePath,
     SecretStr,
     ValidationError,
     field_validator,
@@ -102,13 +103,13 @@ class Settings(BaseSettings):
     cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = Field(
         None, description="`module:function` that returns a Dask cluster to compute with."
     )
-    scheduler_ca: Path | None = Field(
+    scheduler_ca: FilePath | None = Field(
         None, description="CA certificate to check the scheduler's TLS certificate against."
     )
-    scheduler_cert: Path | None = Field(
+    scheduler_cert: FilePath | None = Field(
         None, description="TLS certificate that the service presents to the scheduler."
     )
-    scheduler_key: Path | None = Field(None, description="Private key of `scheduler_cert`.")
+    scheduler_key: FilePath | None = Field(None, description="Private key of `scheduler_cert`.")
     worker_memory: Annotated[int, Field(ge=500_000_000, le=2**62)] | None = Field(
         None, description="Bytes of memory of an embedded worker; default: its share of the machine's."
     )

@@ -102,9 +102,11 @@ def log_to_stderr(level: str) -> Iterator[None]:
         logger.handlers.clear()
         logger.propagate = True
         logger.setLevel(max(logger.level, logging.WARNING))
+    logging.captureWarnings(True)
     try:
         yield
     finally:
+        logging.captureWarnings(False)
         root.removeHandler(handler)
         for name in _OWN:
             logging.getLogger(name).setLevel(logging.NOTSET)

@@ -204,6 +204,7 @@ _RULES: Final[dict[tuple[str, ...], str]] = {
     ("string_too_long",): "must have at most {max_length} characters, not {length}",
     ("string_pattern_mismatch",): "must match {pattern}, not {value}",
     ("list_type", "tuple_type"): "must be a list, not {value}",
+    ("path_not_file",): "must be a file that is there, not {value}",
     ("model_type",): "must be a group of fields, not {value}",
     ("finite_number",): "must be finite, not {value}",
     ("literal_error", "enum"): "must be {expected}, not {value}",

@@ -24,7 +24,8 @@ def test_every_setting_is_described_in_one_sentence(name: str):
     ("given", "rule"),
     [
         ({"scheduler": "tcp://127.0.0.1:1", "cluster": "module:make"}, "only one of scheduler, scheduler_"),
-        ({"scheduler_ca": Path("ca.pem")}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
+        ({"scheduler_ca": Path(__file__)}, "TLS to the scheduler needs scheduler_ca, scheduler_cert and"),
+        ({"scheduler_key": "none.pem"}, "scheduler_key\\n.*not point to a file"),
         ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
         ({"workers": 100_000}, "workers"),
         ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),

@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -317,6 +318,14 @@ def test_a_request_is_one_line(local: TestClient, logged: io.StringIO):
     assert (line["event"], line["method"], line["route"]) == ("request", "GET", "/v1/jobs/{job_id}")
     assert (line["status"], line["job"]) == (200, job["id"])
     assert line["ms"] >= 0
+
+
+def test_a_warning_of_a_library_is_one_line(logged: io.StringIO):
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.warn("a table\nof versions", stacklevel=1)
+    (line,) = lines(logged)
+    assert "a table\nof versions" in line["event"]
 
 
 def test_a_caller_cannot_forge_log_lines(local: TestClient, logged: io.StringIO):
