@@ -104,12 +104,15 @@ class _InnerLibrary(JITCodeLibrary):
         """Note a library, which stays as it is."""
         self._linking_libraries.append(library)
 
+    def add_ir_module(self, ir_module: Any) -> None:
+        if self.outlined:
+            for function in ir_module.functions:
+                function.attributes.add("noinline")
+        super().add_ir_module(ir_module)
+
     def _optimize_functions(self, ll_module: Any) -> None:
         """Leave it to the entry."""
         ll_module.data_layout = self._codegen._data_layout
-        if self.outlined:
-            for function in ll_module.functions:
-                function.add_function_attribute("noinline")
 
 
 class _EntryLibrary(_InnerLibrary):
