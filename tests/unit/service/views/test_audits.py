@@ -15,13 +15,15 @@ from studies import spec_of
 from kernel.params import Cell, Outcome
 from service.local import computed
 from service.views.audit import _deviations, is_compiled
+from service.views.plan import settings_of
 from worker.analysis import audit
 from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
 from worker.analysis.planning import Setting, Share, candidates, recommended
 from worker.spec.contact_models import Soft, Stepped
+from worker.studies import study_of
 from worker.sweep import SweepSpec
-from worker.sweep.levels import WHOLE
+from worker.sweep.levels import WHOLE, level
 
 PLANE = spec_of((0.8, 4, 24), (0.4, 1.0, 16), 0.1)
 RAMP = PLANE | {
@@ -241,6 +243,17 @@ def test_a_plan_tells_what_a_budget_buys(client: TestClient):
     assert rows["effort"][draft] == "draft"
     assert rows["share"][draft] > rows["share"][whole]
     assert rows["seconds"][draft] < rows["seconds"][whole]
+
+
+def test_a_plan_of_an_adaptive_map_costs_what_its_levels_cost():
+    """A coarser map computes a larger share of its cells."""
+    spec = SweepSpec(**spec_of((0.9, 6, 401), (0.2, 1.2, 401), 0.26, refine={"by": "mode"}))
+
+    def cost(spec: SweepSpec) -> Any:
+        return study_of(spec).estimate(spec, study_of(spec).plan(spec))
+
+    for setting in settings_of(spec, cost, workers=2):
+        assert setting.seconds == cost(level(setting.spec, setting.steps)).core_seconds / 2
 
 
 def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
