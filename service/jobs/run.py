@@ -133,9 +133,11 @@ class ChunkTimes:
         if self._began is None and reports:
             self._began, self._before = now, float(np.nansum(self._took))
 
-    def left(self, to_come: NDArray[np.bool_], now: float) -> float | None:
+    def left(self, to_come: NDArray[np.bool_], now: float, at_once: int) -> float | None:
         """Seconds that the chunks `to_come` (chunks,) will take at the present rate; None without a rate.
 
+        at_once: the most chunks that are computed at a time, which limits the rate: chunks that are reported
+        soon after the first ones began with them.
         A chunk on the way back of a ramp is expected to take as long as on the way there. Any other is
         expected to take as long as the newest chunks: on a ramp those of the last RECENT steps, else all. On
         a ramp the table of costs counts too, the less the more steps are done.
@@ -154,7 +156,7 @@ class ChunkTimes:
             mixed = done * recent + (1.0 - done) * self._by_table
             recent = min(max(mixed, recent / BY_TABLE), recent * BY_TABLE)
         expected[np.isnan(expected)] = recent
-        return float(expected.ravel()[to_come].sum() * (now - self._began) / counted)
+        return float(expected.ravel()[to_come].sum() * max((now - self._began) / counted, 1.0 / at_once))
 
 
 class JobRun:
@@ -237,9 +239,10 @@ class JobRun:
         self._times.note(self.unsaved_reports, now)
         to_come = ~self.queue.done
         to_come[[report.index for report in self.unsaved_reports]] = False
-        if (left := self._times.left(to_come, now)) is not None:
+        at_once = max(min(workers, self.prepared.plan.lines), 1)
+        if (left := self._times.left(to_come, now, at_once)) is not None:
             return left
-        in_a_row = -(-self._to_come // max(min(workers, self.prepared.plan.lines), 1))
+        in_a_row = -(-self._to_come // at_once)
         left = in_a_row * self._by_table - (now - self._began)
         return left if in_a_row <= FEW and left > 0.0 else None
 

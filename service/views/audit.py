@@ -47,7 +47,7 @@ _QUESTION: Final = (
 )  # fmt: skip
 _DEVIATION: Final = row(
     "deviation", ("coverage",), "<f8", "by which so many of all cells deviate at most", "rad",
-    comment="with 95 % confidence; aperiodic cells count as within; infinite where too few are drawn",
+    comment="with 95 % confidence; aperiodic cells count as within, undecided as beyond; infinite: too few",
 )  # fmt: skip
 _OF_SWEEP: Final = (
     row(
@@ -239,7 +239,8 @@ def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled
         if labelled or name != "label"
     }
     largest = float(np.nanmax(table["deviation"][repeating], initial=sizes["certified_error"]))
-    within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest))
+    above = int(np.count_nonzero(_may_deviate(table)))
+    within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest, above))
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
     return answers
 
@@ -249,14 +250,20 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
     rest, sampled = sizes["cells"] - sizes["certified"], len(table["outcome"])
     weight = rest / sizes["cells"]
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
-    deviation = np.where(table["unknown"], inf, np.nan_to_num(table["deviation"], posinf=inf))
-    own = np.sort(np.where(repeating, deviation, 0.0)).tolist()
+    deviation = np.where(repeating, np.nan_to_num(table["deviation"], posinf=inf), 0.0)
+    own = np.sort(np.where(_may_deviate(table), inf, deviation)).tolist()
     values = [sizes["certified_error"], *np.maximum(own, sizes["certified_error"]), inf]
 
     def share_within(number: int) -> float:
         return float(1.0 - weight * (1.0 - covered(sampled, rest, sampled - number)))
 
     return [values[bisect_left(range(sampled + 1), share, key=share_within)] for share in COVERAGES]
+
+
+def _may_deviate(table: _Table) -> Any:
+    """Which cells may deviate by anything: undecided ones, and of those that repeat the unknown."""
+    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
+    return table["undecided"] | (table["unknown"] & repeating)
 
 
 def _modes(table: _Table) -> dict[str, list[Any]]:

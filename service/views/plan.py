@@ -66,13 +66,12 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
         whole = SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
-        core_seconds = cost(whole).core_seconds
         for part in PARTS:
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
-            share = cells(whole, steps) / cells(whole, WHOLE)
-            chosen.append(Setting(whole, steps, core_seconds * share / max(workers, 1), effort))
+            seconds = cost(level(whole, steps)).core_seconds / max(workers, 1)
+            chosen.append(Setting(whole, steps, seconds, effort))
     return chosen
 
 
