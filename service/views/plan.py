@@ -17,7 +17,6 @@ from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontie
 from worker.study import Cost
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, finest, level
-from worker.sweep.schema import bytes_per_cell
 from worker.sweep.specification import EFFORTS
 
 if TYPE_CHECKING:
@@ -70,8 +69,9 @@ def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
-            seconds = cost(level(whole, steps)).core_seconds / max(workers, 1)
-            chosen.append(Setting(whole, steps, seconds, effort))
+            taken = cost(level(whole, steps))
+            seconds = taken.core_seconds / max(workers, 1)
+            chosen.append(Setting(whole, steps, seconds, taken.bytes, effort))
     return chosen
 
 
@@ -91,16 +91,15 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     """The table of a plan."""
     shares, chosen = result
     specs = [level(setting.spec, setting.steps) for setting in settings]
-    sizes = [prod(spec.shape) for spec in specs]
     data: dict[str, Any] = {
         "effort": [setting.effort for setting in settings],
         "grid": [" × ".join(map(str, spec.shape[1:])) for spec in specs],
-        "cells": sizes,
+        "cells": [prod(spec.shape) for spec in specs],
         "seconds": [setting.seconds for setting in settings],
         "share": [share.share for share in shares],
         "low": [share.low for share in shares],
         "high": [share.high for share in shares],
-        "bytes": [bytes_per_cell(spec) * size for spec, size in zip(specs, sizes, strict=True)],
+        "bytes": [setting.bytes for setting in settings],
         "frontier": frontier(settings, shares),
         "recommended": [i == chosen for i in range(len(settings))],
         "spec": [spec.model_dump_json() for spec in specs],

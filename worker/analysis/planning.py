@@ -38,6 +38,7 @@ class Setting(NamedTuple):
     spec: SweepSpec  # with the effort's windows, and the grid of the whole sweep
     steps: Steps
     seconds: float  # expected
+    bytes: int  # stored, before compression
     effort: str
 
 

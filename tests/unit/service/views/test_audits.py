@@ -257,7 +257,7 @@ def test_a_plan_of_an_adaptive_map_costs_what_its_levels_cost():
 
 
 def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
-    settings = [Setting(None, WHOLE, seconds, "draft") for seconds in (9.0, 5.0, 1.0)]
+    settings = [Setting(None, WHOLE, seconds, 1, "draft") for seconds in (9.0, 5.0, 1.0)]
     shares = [Share(100, share, 0.0, share) for share in (0.01, 0.02, 0.3)]
     limits = [(6.0, 0.05), (6.0, None), (None, 0.5), (6.0, 0.001), (0.5, 0.05)]
     assert [candidates(settings, shares, *each) for each in limits] == [[1], [2, 1], [2, 1, 0], [2, 1], [2]]
