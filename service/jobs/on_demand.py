@@ -14,11 +14,11 @@ from concurrent.futures import CancelledError, Future, InvalidStateError, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from service.background import asker
 from service.errors import Busy, NotComputed
-from worker.executors.base import Executor, ExecutorError
+from worker.executors.base import Executor, ExecutorError, WorkerLeft
 
 #: Limit on the results kept; the least recently requested ones are dropped.
 MAX_RESULTS: Final = 64
@@ -42,6 +42,10 @@ class Pending(Exception):
     def __init__(self, done: int, total: int) -> None:
         super().__init__(done, total)
         self.done, self.total = done, total
+
+
+#: A part of a result, and its call.
+_Part: TypeAlias = "tuple[Future[Any], Sequence[Any]]"
 
 
 @dataclass
@@ -77,7 +81,7 @@ class OnDemandCache:
         self._executor, self._timeout, self._jobs_compute = executor, timeout, jobs_compute
         self._lock = threading.Lock()
         self._results: OrderedDict[Hashable, _Result] = OrderedDict()
-        self._waiting: deque[tuple[Future[Any], Sequence[Any]]] = deque()  # parts and their calls
+        self._waiting: deque[_Part] = deque()
         self._workers = self._running = 0
         self._without_workers = -math.inf  # when there were none, the last time that somebody looked
         self._credit, self._credited = CREDIT_SECONDS, time.monotonic()
@@ -178,13 +182,13 @@ class OnDemandCache:
             except Exception as error:  # noqa: BLE001 - the caller gets the error
                 computed = Future()
                 computed.set_exception(error)
-                self._end(future, began, computed)
+                self._end(part, began, computed)
                 continue
             future.add_done_callback(partial(_cancel_too, computed))
-            computed.add_done_callback(partial(self._on_computed, future, began))
+            computed.add_done_callback(partial(self._on_computed, part, began))
 
-    def _next(self) -> "tuple[Future[Any], Sequence[Any]] | None":
-        """The next part and its call; None if none may begin."""
+    def _next(self) -> "_Part | None":
+        """The next part; None if none may begin."""
         with self._lock:
             while self._waiting and self._waiting[0][0].cancelled():
                 self._waiting.popleft()
@@ -198,18 +202,23 @@ class OnDemandCache:
             self._running += 1
             return self._waiting.popleft()
 
-    def _on_computed(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
-        self._end(future, began, computed)
+    def _on_computed(self, part: _Part, began: float, computed: "Future[Any]") -> None:
+        self._end(part, began, computed)
         self._start()
 
-    def _end(self, future: "Future[Any]", began: float, computed: "Future[Any]") -> None:
-        """End a part with the result or the error of its call."""
+    def _end(self, part: _Part, began: float, computed: "Future[Any]") -> None:
+        """End a part with the result or the error of its call, or have it wait for another worker."""
+        future, _ = part
+        error = CancelledError() if computed.cancelled() else computed.exception()
         with self._lock:
             self._running -= 1
             if self._jobs_compute():  # a wait for workers takes no time of theirs
                 self._credit -= time.monotonic() - max(began, self._without_workers)
+            if isinstance(error, WorkerLeft):  # else the other parts would be lost with this one
+                self._waiting.appendleft(part)
+                return
         with suppress(InvalidStateError):  # cancelled meanwhile
-            if error := CancelledError() if computed.cancelled() else computed.exception():
+            if error:
                 future.set_exception(error)
             else:
                 future.set_result(computed.result())

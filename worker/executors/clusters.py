@@ -17,6 +17,7 @@ import dask
 from distributed import LocalCluster, Security, Status, system
 
 from worker.executors.base import ClusterLost
+from worker.executors.plugins import one_line
 from worker.ownership import temporary_folder
 
 log = logging.getLogger(__name__)
@@ -99,10 +100,12 @@ class Target:
 
 async def _start_missing(cluster: Any) -> None:
     """Await the cluster, which makes distributed start its missing workers."""
+    if cluster._lock.locked():  # it is starting or ending workers: those are not lost
+        return
     for name, worker in list(cluster.workers.items()):
         if getattr(worker, "status", None) in (Status.closed, Status.failed):  # it was not restarted
             del cluster.workers[name]
-    if missing := len(cluster.worker_spec) - len(cluster.workers):
+    if missing := len(cluster.worker_spec.keys() - cluster.workers.keys()):
         log.warning("%d of %d workers are lost; starting others", missing, len(cluster.worker_spec))
         with contextlib.suppress(Exception):  # distributed logs it; the next check tries again
             await cluster
@@ -169,7 +172,7 @@ class CreatedCluster(Target):
                 raise TypeError(f"it returns no Dask cluster, but {type(cluster).__name__}")
             self.cluster = cluster
         except Exception as error:
-            self._failure = f": {type(error).__name__}: {error}"
+            self._failure = f": {one_line(error)}"
             raise ClusterLost(f"no cluster from {self._name}{self._failure}") from error
         self._failure, self._unanswered = "", 0
         self._next_refill = time.monotonic() + REFILL_SECONDS

@@ -128,7 +128,7 @@ class WorkerAdmission(WorkerPlugin):
                 use_cache(self._cache)
                 importlib.import_module("worker.work")
         except Exception as error:  # noqa: BLE001 - any error means that it cannot compute
-            wrong = [f"it cannot load the kernel: {_one_line(error)}"]
+            wrong = [f"it cannot load the kernel: {one_line(error)}"]
         return "; ".join(wrong)
 
     def _leave(self, worker: Any) -> None:
@@ -178,14 +178,14 @@ def _unseen(url: str, mark: str) -> str:
 
         own_mark = store.read_marker(url)
     except Exception as error:  # noqa: BLE001 - without the stores it cannot compute
-        return f"it cannot read {url}, where the stores are: {_one_line(error)}"
+        return f"it cannot read {url}, where the stores are: {one_line(error)}"
     if own_mark != mark:
         return f"it does not see the service's stores in {url}: share that folder, under the same path"
     fault = store.write_fault(url)
     return f"it cannot write into {url}, where the stores are: {fault}" if fault else ""
 
 
-def _one_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """The error on one line; numpy's have many."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 

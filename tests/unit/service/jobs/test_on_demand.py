@@ -13,7 +13,7 @@ from service.background import Asker
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
 from service.jobs.on_demand import OnDemandCache, Pending
-from worker.executors.base import ClusterLost, WorkerDied
+from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft
 
 
 class Pool:
@@ -98,6 +98,16 @@ def test_a_result_that_was_lost_or_failed_is_computed_again(error: Exception, ra
         cache.get("key", TWO)
     pending(cache, "key", TWO)
     assert len(pool.futures) == 4
+
+
+def test_a_part_whose_worker_was_told_to_leave_is_computed_by_another():
+    pool, cache = started()
+    pending(cache, "key", TWO)
+    pool.futures[0].set_result(0)
+    pool.futures[1].set_exception(WorkerLeft("its time is over"))
+    pending(cache, "key", TWO)
+    pool.futures[2].set_result(1)
+    assert cache.get("key", TWO) == [0, 1]
 
 
 def test_the_number_of_results_being_computed_is_limited(monkeypatch: pytest.MonkeyPatch):

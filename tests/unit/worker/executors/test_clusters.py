@@ -1,6 +1,9 @@
 """What a connection connects to: an address, a scheduler file, or a cluster that a function makes."""
 
+import asyncio
 import json
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -89,3 +92,54 @@ def test_a_function_that_returns_no_cluster_is_told_so():
     target = CreatedCluster(lambda: None, "mine")
     with pytest.raises(ClusterLost, match="no cluster from mine: TypeError: it returns no Dask cluster, but"):
         target.find()
+
+
+def test_the_reason_of_a_function_that_fails_is_one_line():
+    """Those of batch queues have many."""
+
+    def submit() -> None:
+        raise RuntimeError("the queue is closed\nstdout:\n\nstderr:\ncome back")
+
+    with pytest.raises(ClusterLost) as failed:
+        CreatedCluster(submit, "mine").find()
+    assert str(failed.value) == (
+        "no cluster from mine: RuntimeError: the queue is closed stdout: stderr: come back"
+    )
+
+
+@pytest.mark.parametrize(
+    ("planned", "present", "is_busy", "lost"),
+    [
+        ((0, 1), (0,), False, "1 of 2"),
+        ((0, 1), (), True, None),
+        ((), (0,), False, None),
+        ((1,), (0,), False, "1 of 1"),
+    ],
+)
+def test_only_workers_that_are_gone_are_called_lost(
+    planned: tuple[int, ...],
+    present: tuple[int, ...],
+    is_busy: bool,
+    lost: str | None,
+    caplog: pytest.LogCaptureFixture,
+):
+    """Neither those that the cluster is starting, nor those that it should no longer have."""
+
+    class Growing:
+        def __init__(self) -> None:
+            self.worker_spec, self.workers = dict.fromkeys(planned), dict.fromkeys(present)
+            self._lock = asyncio.Lock()
+
+        def __await__(self) -> Iterator[None]:
+            yield from ()
+
+    async def refill() -> None:
+        cluster = Growing()
+        if is_busy:
+            await cluster._lock.acquire()
+        await clusters._start_missing(cluster)
+
+    with caplog.at_level(logging.WARNING, clusters.__name__):
+        asyncio.run(refill())
+    messages = [f"{lost} workers are lost; starting others"] if lost else []
+    assert caplog.messages == messages
