@@ -37,7 +37,7 @@ MAX_SHARD_BYTES: Final = 96 * 2**20
 SETTLING_SHARE: Final = 0.053
 STILL_SETTLING_SHARE: Final = 0.35
 
-#: With certificates: plate periods that the certified cells cost, over all cells, and the share of the others,
+#: With certificates: plate periods that certified cells cost, as a mean of all, and the share of the others,
 #: by the times of 2,000 random cells with windows of 230, 300 and 1,200 periods.
 CERTIFIED_PERIODS: Final = 150.0
 UNCERTIFIED: Final = 0.5
