@@ -107,10 +107,11 @@ def _damaged(request: Request, error: Any) -> Response:
     return ProblemResponse(500 if repair.lasting else 503, repair.detail)
 
 
-def _pending(_: Request, pending: Any) -> Response:
+def _pending(request: Request, pending: Any) -> Response:
     percent = round(100.0 * pending.done / pending.total, 1)
     progress = PartsView(parts_done=pending.done, parts_total=pending.total, percent=percent)
-    content = PendingView(progress=progress).model_dump_json()
+    notice = request.app.state.service.manager.supervisor.cluster.explanation
+    content = PendingView(progress=progress, notice=notice).model_dump_json()
     return Response(content, 202, {"Retry-After": "1"}, "application/json")
 
 

@@ -279,6 +279,7 @@ class PendingView(BaseModel):
 
     state: Literal["running"] = "running"
     progress: PartsView
+    notice: str | None = Field(None, description="why nothing is computed now")
 
 
 def job_view(

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeAlias, TypeVar
 
 import httpx2
 
-from service.client.display import PartsCallback, display_elapsed, display_parts
+from service.client.display import PartsCallback, display_elapsed, display_line, display_parts
 from service.client.errors import (
     BadRequest,
     Busy,
@@ -186,7 +186,7 @@ class Transport:
         method, headers = ("GET", {}) if content is None else ("POST", {"Content-Type": "application/json"})
         send = partial(self._request, method, path, {**query, "format": format}, headers, content)
         deadline = time.monotonic() + timeout
-        show, again = display_parts(progress), False
+        show, again, noticed = display_parts(progress), False, None
         while True:
             left = deadline - time.monotonic()
             away = min(MAX_OUTAGE, left) if again else 0.0
@@ -196,6 +196,8 @@ class Transport:
                 return response.content
             done, total = _parts_computed(response)
             show(done, total)
+            if progress is True and (notice := json_object(response).get("notice")) not in (None, noticed):
+                display_line(noticed := notice)
             if (left := deadline - time.monotonic()) <= 0.0:
                 raise NotComputedYet(done, total, timeout)
             time.sleep(_pause(retry_after(response), left))

@@ -289,15 +289,17 @@ def test_an_unchanged_job_is_requested_by_its_etag():
         assert tags == [None, 'W/"one"', 'W/"one"']
 
 
-def test_a_wait_and_a_result_outlive_a_restart_of_the_service():
+def test_a_wait_and_a_result_outlive_a_restart_of_the_service(capsys: pytest.CaptureFixture[str]):
     of_a_proxy = Answer(502, b"<html>"), Answer(504, {"message": "late"})
     gone = [*[LOST] * 3, *of_a_proxy, Answer(503, {"detail": "starting"})]
-    computing = Answer(202, {"progress": {"parts_done": 0, "parts_total": 1}}, Retry_After="0")
+    parts = {"parts_done": 0, "parts_total": 1}
+    computing = Answer(202, {"progress": parts, "notice": "no workers yet"}, Retry_After="0")
     result = computing, *[LOST] * 3, Answer(body={})
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10)), *result) as (_, client):
         job = client.job(ID).wait(progress=False)
         assert job.state == "done"
-        assert job.result_file("threshold", "json", progress=False) == b"{}"
+        assert job.result_file("threshold", "json", progress=True) == b"{}"
+    assert "computed 0 of 1 parts\nno workers yet\n" in capsys.readouterr().err
 
 
 def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue():

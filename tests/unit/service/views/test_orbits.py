@@ -453,6 +453,7 @@ def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeyp
         for path in (f"{here}/threshold", "/v1/threshold?omega=1e-6&xi=10"):
             answer = held.get(path)
             assert (answer.status_code, answer.headers["Retry-After"]) == (202, "1"), path
+            assert "jobs wait until" in answer.json()["notice"]
         left_out = get(held, f"{large}/threshold")["data_vars"]["cause"]["data"]
         assert left_out[0].startswith("not predicted: 200 values of omega take about")
         rule = refused(held, f"{large}/threshold", 422, predict="all")
