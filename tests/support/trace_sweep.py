@@ -4,6 +4,7 @@ From `Client.submit` to the diagram, in this process: a real web server, an Inli
 interpreted so that they can be followed too. A file is printed when one of its functions is first entered.
 """
 
+import gc
 import os
 import sys
 import tempfile
@@ -41,6 +42,7 @@ def follow(frame: FrameType, event: str, _: Any) -> None:
 
 
 def main() -> None:
+    gc.disable()  # Python 3.11.2 may crash where it collects while a generator is followed
     threading.setprofile(follow)
     with (
         tempfile.TemporaryDirectory() as data,
