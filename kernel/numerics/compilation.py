@@ -245,13 +245,18 @@ def _remembering(resolve: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class _Passes(PassManager):
-    """numba's passes one after the other, without the checks and tables that it makes after each."""
+    """numba's passes one after the other, without the checks and tables that it makes after each.
 
-    def _runPass(self, index: int, each: Any, state: Any) -> None:  # noqa: N802 - numba's
+    Left out where it does nothing: inlining closures. Where references are not counted: marking where each
+    variable ends.
+    """
+
+    def _runPass(self, index: int, each: Any, state: Any) -> None:  # noqa: N802 - numba's name
+        needed = True
         if isinstance(each, untyped.InlineClosureLikes):
             needed = any(isinstance(constant, CodeType) for constant in state.func_id.code.co_consts)
-        else:  # which says where variables end, for the counts of references
-            needed = state.flags.nrt or not isinstance(each, typed.IRLegalization)
+        elif isinstance(each, typed.IRLegalization):
+            needed = state.flags.nrt
         if needed:
             each.analysis = self._analysis
             each.run_pass(state)
