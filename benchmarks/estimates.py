@@ -3,10 +3,10 @@
     python -m benchmarks.estimates [--repeat 1] [--only ramp]
     python -m benchmarks.estimates --left [--only ramp]
 
-Every chunk is computed in this process, its kernels compiled before. Prints core-seconds expected by the
-table of contact models (`bounce run`, `bounce plan` and the form show them divided by the workers, until
-jobs of the same kind were measured), the processor time, and their ratio: above 1, less was expected than it
-took. `--only`: names that contain this.
+Every chunk is computed in this process, its kernels compiled before. Prints core-seconds expected by a
+sample of the study (`bounce run`, `bounce plan` and the form show them divided by the workers), the processor
+time, and their ratio: above 1, less was expected than it took. `--table`: by the table of contact models,
+as where the kernel is not compiled yet. `--only`: names that contain this.
 
 `--left`: finer grids of the same through a service with two workers, its kernels compiled. Prints the least
 and the largest ratio of the time left that jobs said to what remained, after a tenth of their time.
@@ -20,6 +20,7 @@ from benchmarks.measuring import describe, options, service, short, table
 from service.client import Client
 from worker import store
 from worker.kernel_cache import use_cache
+from worker.pace import pace
 from worker.spec.axes import MAX_AXIS_VALUES
 from worker.studies import parse, run_task, study_of
 from worker.work import compile_for
@@ -71,12 +72,12 @@ SPECS: Final[dict[str, dict[str, Any]]] = {
 }  # fmt: skip
 
 
-def measured(spec: Any) -> tuple[float, float]:
+def measured(spec: Any, *, by_table: bool = False) -> tuple[float, float]:
     """Core-seconds expected of a study, and its processor time."""
     study = study_of(spec)
     plan = study.plan(spec)
-    expected = study.estimate(spec, plan).core_seconds
     compile_for(spec)
+    expected = study.estimate(spec, plan).at(None if by_table else pace(spec)).core_seconds
     with tempfile.TemporaryDirectory() as folder:
         url = f"{folder}/store.zarr"
         store.create(url, study.variables(spec, plan.chunk_shape))
@@ -127,7 +128,7 @@ def compare_left(only: str) -> None:
 
 def main() -> None:
     """Measure and print the table."""
-    arguments = options(__doc__, repeat=1, only="", left=False)
+    arguments = options(__doc__, repeat=1, only="", table=False, left=False)
     print(describe("numba"), flush=True)
     if arguments.left:
         compare_left(arguments.only)
@@ -136,7 +137,9 @@ def main() -> None:
     rows, ratios = [], []
     for name, fields in SPECS.items():
         if arguments.only in name:
-            results = [measured(parse(fields)) for _ in range(arguments.repeat + 1)][1:]
+            results = [
+                measured(parse(fields), by_table=arguments.table) for _ in range(arguments.repeat + 1)
+            ][1:]
             expected, took = min(results, key=lambda each: each[1])
             ratios.append(took / expected)
             rows.append((name, short(expected), short(took), f"{took / expected:.2f}"))

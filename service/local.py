@@ -305,10 +305,11 @@ def computed(
             manager.start()
             stack.callback(manager.stop)
             if budget is None:
-                expected = runner.seconds(parsed)
-                # before the first chunk nothing is measured
+                # before the first chunk only a sample tells the time
+                cost = manager.cost(parsed)
+                expected = cost.seconds_on(cost.workers)
                 if progress is True and expected >= SAID_SECONDS:
-                    display_line(f"expected by the table of costs: {duration(expected)}")
+                    display_line(f"expected from a sample of the study: {duration(expected)}")
                 yield runner.done(parsed)
             else:
                 yield runner.within(parsed, budget, began)

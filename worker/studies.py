@@ -80,6 +80,12 @@ def renewed(text: str | bytes) -> Any:
     return spec.today() if isinstance(spec, EarlierSweep) else spec
 
 
+def pace_of(spec: Specification) -> float | None:
+    """The pace of a study of any kind: the function that executors call in workers."""
+    pace: float | None = import_module("worker.pace").pace(spec)
+    return pace
+
+
 def run_task(spec: Specification, chunk: Chunk, store_url: str) -> ChunkReport:
     """Compute one chunk of a study of any kind: the function that executors run in workers."""
     report: ChunkReport = import_module(study_of(spec).task).run_chunk(spec, chunk, store_url)

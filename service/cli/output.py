@@ -70,7 +70,7 @@ def estimate_line(estimate: "Estimate") -> str:
 
 #: The sources of an estimate. Where nothing was computed yet, the kernel may not be compiled either.
 _BASES: Final = {
-    "measured": "from recent jobs",
+    "measured": "from a sample of the study",
     "table": "from the table of costs; the kernel is compiled first, unless the cache has it",
 }
 

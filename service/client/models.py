@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
     bytes: int  # of the stored arrays, before compression
     core_seconds: float  # of an adaptive map at most
     longest_core_seconds: float | None  # upper end: counts for limits; None where core_seconds is
-    basis: str  # measured: from recent jobs with the same contact model; table: from the table of costs
+    basis: str  # measured: from a sample of the study; table: from the table of costs
     computed_cells: tuple[int, int] | None = None  # of an adaptive map, as a rule: at least and at most
     least_core_seconds: float | None = None  # of an adaptive map
     workers: int = 0  # tasks that the service's workers run at once, now

@@ -4,6 +4,7 @@ import hashlib
 import json
 import logging
 import time
+from concurrent.futures import wait
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
@@ -18,9 +19,9 @@ from service.ledger.model import RESUMABLE, UNFINISHED, JobRecord, JobState, New
 from service.ledger.paths import network_file_system
 from service.ledger.transactions import ReadTransaction, WriteTransaction
 from service.settings import Settings
-from worker.executors.base import Executor
+from worker.executors.base import Executor, ExecutorError
 from worker.spec.errors import SpecError
-from worker.studies import renewed, study_of
+from worker.studies import pace_of, renewed, study_of
 from worker.study import Cost, Plan
 from worker.study.chunks import check_size
 
@@ -28,6 +29,10 @@ log = logging.getLogger(__name__)
 
 #: Seconds for the threads to end: an unresponsive bucket must not delay the exit.
 STOP_SECONDS: Final = 4.0
+#: Seconds to wait for a worker that tells the pace of a study: the others compute a slice each.
+PACE_SECONDS: Final = 2.0
+#: Paces that are kept.
+PACES: Final = 1000
 
 
 class Submission(NamedTuple):
@@ -43,6 +48,7 @@ class JobManager:
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings) -> None:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self.preparer = JobPreparer(settings)
+        self._paces: dict[str, float] = {}  # by job id
         self.supervisor = Supervisor(ledger, executor, settings, self.preparer)
 
     def compiling(self, job: JobRecord) -> Compilation | None:
@@ -132,16 +138,34 @@ class JobManager:
 
     def cost(self, spec: Any) -> Cost:
         """The estimated cost of a study on the present workers. Raises SpecTooLarge as `submit`."""
-        plan = self.check(spec)
-        with self._ledger.reading() as ledger:
-            measured = ledger.measured()
-        cost = self.preparer.cost(spec, plan, measured)
+        cost = study_of(spec).estimate(spec, self.check(spec)).at(self.pace(spec))
         return cost.model_copy(update={"workers": self.workers()})
 
+    def pace(self, spec: Any) -> float | None:
+        """The pace of a study (`worker.pace`) on a worker; None if none tells it within PACE_SECONDS.
+
+        It is kept, so that a repeated request for a plan is the same.
+        """
+        key = spec.job_id(KERNEL_VERSION)
+        if key in self._paces or self.workers() == 0:
+            return self._paces.get(key)
+        try:
+            told = self._executor.call(pace_of, spec)
+        except ExecutorError:
+            return None
+        if not wait([told], PACE_SECONDS).done:
+            told.cancel()
+            return None
+        pace = None if told.cancelled() or told.exception() else told.result()
+        if pace is not None:
+            if len(self._paces) >= PACES:
+                self._paces.clear()
+            self._paces[key] = pace
+        return pace
+
     def seconds(self, spec: Any) -> float:
-        """The expected time of a study on the present workers. Raises as `cost`."""
-        cost = self.cost(spec)
-        return cost.core_seconds / max(min(cost.workers, cost.chunks), 1)
+        """The expected time of a study on the present workers, by the table of costs. Raises as `cost`."""
+        return study_of(spec).estimate(spec, self.check(spec)).seconds_on(self.workers())
 
     def workers(self) -> int:
         """The number of tasks that can run at once; may be a second old."""

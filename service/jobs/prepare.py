@@ -1,4 +1,4 @@
-"""Prepares jobs: parses the specification, chooses the model and makes the plan, once. Estimates costs."""
+"""Prepares jobs: parses the specification, chooses the model and makes the plan, once."""
 
 import json
 import logging
@@ -27,11 +27,6 @@ log = logging.getLogger(__name__)
 #: Limits on the prepared jobs kept, and on the characters of their specifications together.
 MAX_JOBS: Final = 128
 MAX_SPEC_CHARS: Final = 8_000_000
-
-#: Core-seconds from which on jobs measure the speed of a contact model: in less, starting up dominates.
-MIN_SECONDS: Final = 0.05
-#: The same for the speed of the machine, by jobs of other models.
-MACHINE_SECONDS: Final = 1.0
 
 #: Workers that may die while they choose a model before the job fails.
 MAX_DEATHS: Final = 3
@@ -175,41 +170,6 @@ class JobPreparer:
             attributes={} if choice is None else {"model": choice.model, "choice": choice.reproducible()},
             outdated=job.outdated,
         )
-
-    def cost(self, spec: Any, plan: Plan, measured: Sequence[JobRecord]) -> Cost:
-        """The cost of a study before it is computed.
-
-        Core-seconds come from the cost table, scaled by the speed of the `measured` jobs with the same
-        contact model, if there are any, else of all: machines differ.
-        """
-        by_table: Cost = study_of(spec).estimate(spec, plan)
-        times = []  # core-seconds of each job, and by the table
-        alike = []  # those with the same contact model
-        for job in measured:
-            try:
-                other = self.prepare(job)
-            except LedgerUnusable:  # accepted by an older release
-                continue
-            other_table = other.study.estimate(other.submitted, other.plan)
-            if other_table.computed_cells is None:  # done cells that were filled in do not show the speed
-                expected = job.cells_timed * other_table.core_seconds / other_table.cells
-                times.append((job.core_seconds, expected))
-                alike += times[-1:] if _kind(other.submitted) == _kind(spec) else []
-        for basis, jobs, least in (("measured", alike, MIN_SECONDS), ("table", times, MACHINE_SECONDS)):
-            taken, expected = (sum(seconds) for seconds in zip((0.0, 0.0), *jobs, strict=True))
-            if min(taken, expected) >= least:
-                scaled = {
-                    name: seconds * taken / expected
-                    for name in ("core_seconds", "least_core_seconds", "longest_core_seconds")
-                    if (seconds := getattr(by_table, name)) is not None
-                }
-                return by_table.model_copy(update={**scaled, "basis": basis})
-        return by_table
-
-
-def _kind(spec: Any) -> tuple[type, str | None]:
-    """Jobs with the same kind share a speed: the kind of specification, and of its contact model."""
-    return type(spec), getattr(getattr(spec, "model", None), "kind", None)
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:

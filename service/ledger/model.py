@@ -84,7 +84,6 @@ class JobRecord(NewJob):
     pinned: bool = False  # marked by a user
     core_seconds: float = 0.0  # of all chunks and repetitions, except adopted chunks
     runs: str = "[]"  # JSON: the software that computed it, see service.software.with_this_run
-    cells_timed: int = 0  # cells of the chunks in `core_seconds`
     progressed: float | None = None  # when this run began, or its last chunks were done
     seconds_left: float | None = None  # estimated at `progressed`
 

@@ -5,7 +5,7 @@ from typing import Final
 from service.ledger.model import JobState
 
 #: SQLite's `user_version` of a ledger with these tables. 0.2.0 has version 14.
-VERSION: Final = 17
+VERSION: Final = 18
 
 _ANSWERS: Final = """
     -- What workers computed about the results of a job, such as an audit, by the result's name and query.
@@ -50,7 +50,6 @@ TABLES: Final = f"""
         cells_settling INTEGER NOT NULL DEFAULT 0,
         first_cells INTEGER NOT NULL DEFAULT 0,
         cells_computed INTEGER NOT NULL DEFAULT 0,
-        cells_timed INTEGER NOT NULL DEFAULT 0,
         core_seconds REAL NOT NULL DEFAULT 0,
         model TEXT AS (CASE WHEN json_valid(spec) THEN json_extract(spec, '$.model.kind') END) VIRTUAL,
         protocol TEXT AS (CASE WHEN json_valid(spec) THEN json_extract(spec, '$.protocol.kind') END) VIRTUAL
@@ -121,10 +120,14 @@ _TIME_LEFT: Final = """
     ALTER TABLE jobs ADD COLUMN seconds_left REAL;
 """
 
+#: Jobs of the same contact told the speed of the next ones.
+_SPEED: Final = "ALTER TABLE jobs DROP COLUMN cells_timed;"
+
 #: The statements that turn the tables of an earlier version into these.
 UPGRADES: Final = {
-    14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS} {_TIME_LEFT}",
-    16: _TIME_LEFT,
+    14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS} {_TIME_LEFT} {_SPEED}",
+    16: f"{_TIME_LEFT} {_SPEED}",
+    17: _SPEED,
 }
 
 #: The rule of each column of a job, which SQLite does not enforce: a list of jobs reads all columns. Whether
@@ -143,7 +146,7 @@ _COLUMNS: Final = {
         "coalesce({0}, 0) BETWEEN 0 AND 1e10": "created started finished progressed",
         "coalesce({0}, 0) BETWEEN -1e300 AND 1e300": "core_seconds seconds_left",
         "typeof({0}) = 'integer' AND {0} >= 0": "chunks_total cells_total cells_done cells_settling"
-        " cells_computed cells_timed first_cells",
+        " cells_computed first_cells",
     }.items()
     for column in columns.split()
 }

@@ -21,10 +21,6 @@ from service.ledger.search import EVERY_JOB, JobSearch, Position
 from service.software import with_this_run
 from worker.study import ChunkReport
 
-#: Number of recent jobs whose speed counts, and limit on the characters of their specifications.
-RECENT_JOBS: Final = 20
-RECENT_CHARS: Final = 20_000
-
 #: Answers of a result that are kept for each job.
 ANSWERS: Final = 16
 
@@ -131,17 +127,6 @@ class ReadTransaction:
         sql = "SELECT body FROM keys JOIN jobs ON job = seq WHERE key = ? AND kernel_version = ?"
         row = self._fetch_one(sql, key, KERNEL_VERSION)
         return str(row[0]) if row else None
-
-    def measured(self) -> list[JobRecord]:
-        """The last RECENT_JOBS with measured times and a specification of at most RECENT_CHARS.
-
-        Only jobs of this release's kernel, as versions differ in speed. Times of adopted chunks are unknown.
-        """
-        sql = (
-            "SELECT * FROM jobs WHERE cells_timed > 0 AND length(spec) <= ? AND kernel_version = ?"
-            " ORDER BY seq DESC LIMIT ?"
-        )
-        return [_record(row) for row in self._fetch_all(sql, RECENT_CHARS, KERNEL_VERSION, RECENT_JOBS)]
 
     def marker(self) -> tuple[str, bool]:
         """The mark of this ledger's stores, and whether they were marked."""
@@ -323,7 +308,6 @@ class WriteTransaction(ReadTransaction):
             cells_settling=sum(_settling(report.outcomes) for report in marked),
             cells_computed=sum(report.computed or 0 for report in marked),
             core_seconds=sum(report.seconds - report.paused_seconds for report in marked),
-            cells_timed=sum(report.cells for report in marked if report.seconds > 0),
         )
         if marked:
             self.update(job, progressed=time.time(), seconds_left=seconds_left)

@@ -14,7 +14,7 @@ from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
-from worker.study import Cost
+from worker.studies import study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, finest, level
 from worker.sweep.specification import EFFORTS
@@ -57,19 +57,21 @@ class PlanQuery(Query):
         return TOLERANCE if self.tolerance is None and self.budget is None else self.tolerance
 
 
-def settings_of(spec: SweepSpec, cost: Callable[[SweepSpec], Cost], workers: int) -> list[Setting]:
+def settings_of(spec: SweepSpec, pace: Callable[[SweepSpec], float | None], workers: int) -> list[Setting]:
     """The settings to compare, the most thorough first. Raises SpecInvalid.
 
-    cost: estimates a sweep. workers: number of workers that share the work.
+    pace: tells that of a sweep. workers: number of workers that share the work.
     """
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
         whole = SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
+        told = pace(whole)
         for part in PARTS:
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
-            taken = cost(level(whole, steps))
+            thinned = level(whole, steps)
+            taken = study_of(spec).estimate(thinned, study_of(spec).plan(thinned)).at(told)
             seconds = taken.core_seconds / max(workers, 1)
             chosen.append(Setting(whole, steps, seconds, taken.bytes, effort))
     return chosen

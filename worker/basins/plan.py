@@ -3,28 +3,33 @@
 from typing import Final
 
 from worker.basins.schema import FOLLOWED_ARRAYS, MAX_FOLLOWED, basin_arrays, basin_sizes, sizes_of_attractors
-from worker.basins.specification import BasinSpec, MultistabilitySpec
+from worker.basins.specification import BasinSpec, GridSpec, MultistabilitySpec
 from worker.spec.errors import Problem, SpecTooLarge
 from worker.study.chunks import LONGEST_SECONDS, MAX_CHUNK_BYTES, TARGET_SECONDS, Cost, Plan, even
 from worker.study.layout import bytes_of
 from worker.sweep import SweepSpec
-from worker.sweep.plan import cell_seconds, longest_seconds
+from worker.sweep.plan import CHUNK_SECONDS, cell_seconds, longest_seconds
 
-#: Starts of an attractor that run on.
-REPRESENTATIVES: Final = 32
+#: Starts of an attractor that run on, for so many windows.
+REPRESENTATIVES, RUNS_ON = 32, 8
 
 #: Most bytes of a line, which is computed as one: a slice of it lasts seven seconds (`worker.work`).
 MAX_LINE_BYTES: Final = 64 * 2**20
 
 #: Average runs of a cell of a multistability study: of each drop with its continuation, and of followed
 #: attractors.
-RUN_ON: Final = 1.5
-FOLLOWED: Final = 12
+RUN_ON: Final = 1.9
+FOLLOWED: Final = 16
 
 
-def _of_starts(spec: BasinSpec) -> SweepSpec:
+def _of_starts(spec: GridSpec) -> SweepSpec:
     """The sweep whose cells cost as much as starts: without exponents."""
     return spec.sweep().model_copy(update={"exponents": 0})
+
+
+def start_seconds(spec: GridSpec) -> float:
+    """Core-seconds of the window of a start, from the table of contact models."""
+    return cell_seconds(_of_starts(spec))
 
 
 def plan_basins(
@@ -47,12 +52,12 @@ def plan_basins(
 def estimate_basins(spec: BasinSpec, plan: Plan) -> Cost:
     """Cost of a study, from the table of contact models."""
     starts, sweep = spec.protocol.rows * spec.protocol.columns, _of_starts(spec)
-    runs = starts + min(starts, REPRESENTATIVES)
+    runs = starts + RUNS_ON * min(starts, REPRESENTATIVES)
     return Cost(
         cells=plan.cells,
         chunks=len(plan),
         bytes=plan.cells * bytes_of(basin_arrays(spec), basin_sizes(spec)),
-        core_seconds=plan.cells * starts * cell_seconds(sweep),
+        core_seconds=plan.cells * runs * cell_seconds(sweep) + CHUNK_SECONDS * len(plan),
         longest_core_seconds=plan.cells * runs * longest_seconds(sweep, spec.until),
     )
 
@@ -89,7 +94,7 @@ def estimate_lines(spec: MultistabilitySpec, plan: Plan) -> Cost:
         cells=plan.cells,
         chunks=len(plan),
         bytes=plan.cells * _bytes_of_a_cell(spec),
-        core_seconds=runs * cell_seconds(sweep),
+        core_seconds=runs * cell_seconds(sweep) + CHUNK_SECONDS * len(plan),
         longest_core_seconds=runs * longest_seconds(sweep, spec.until),
     )
 

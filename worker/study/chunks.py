@@ -159,7 +159,7 @@ class Cost(Strict):
         "null where core_seconds is",
     )
     basis: Literal["measured", "table"] = Field(
-        "table", description="measured: from this service's last jobs with the same contact model"
+        "table", description="measured: the table of costs, scaled by what a sample of the study took"
     )
     workers: int = Field(0, description="tasks that the service's workers can run at once now")
 
@@ -167,6 +167,18 @@ class Cost(Strict):
     def upper_core_seconds(self) -> float:
         """The upper end of the estimate; limits and the order of jobs use it."""
         return max(self.core_seconds, self.longest_core_seconds or 0.0)
+
+    def seconds_on(self, workers: int) -> float:
+        """The time that this number of workers takes, or one core."""
+        return self.core_seconds / max(min(workers, self.chunks), 1)
+
+    def at(self, pace: float | None) -> "Cost":
+        """The cost at a pace of `worker.pace`; as the table says without one."""
+        if pace is None:
+            return self
+        names = ("core_seconds", "least_core_seconds", "longest_core_seconds")
+        known = {name: seconds * pace for name in names if (seconds := getattr(self, name)) is not None}
+        return self.model_copy(update={**known, "basis": "measured"})
 
 
 def check_size(

@@ -31,6 +31,9 @@ LINES_TO_FILL: Final = 4 * LANES
 #: MAX_CHUNK_BYTES for sweeps with many chunks.
 MAX_SHARD_BYTES: Final = 96 * 2**20
 
+#: Core-seconds that storing a chunk takes.
+CHUNK_SECONDS: Final = 0.007
+
 #: Share of the cells that still settle at the end of their window, and the share of these that still settle
 #: after each doubling of the periods. Of 24,000 random cells 5.3% settle after 300 periods, 1.9% after 600,
 #: 0.7% after 1,200, 0.2% after 2,400 (`python -m benchmarks.settling`).
@@ -148,7 +151,7 @@ def estimate(spec: SweepSpec, plan: Plan) -> Cost:
         cells=cells,
         chunks=len(plan),
         bytes=cells * bytes_per_cell(spec),
-        core_seconds=cells * seconds,
+        core_seconds=cells * seconds + CHUNK_SECONDS * len(plan),
         longest_core_seconds=cells * max(seconds, longest_cell_seconds(spec)),
     )
 

@@ -46,7 +46,7 @@ def run_chunk(spec: SweepSpec, chunk: Chunk, store_url: str) -> ChunkReport:
 def compute(spec: SweepSpec, work: Work, cells: _Arrays, starts: list[Start | None]) -> Line:
     """Compute a line to its end. Raises as `Work.compute`; any error has a note with the cells."""
     try:
-        return work.compute(_line_run(spec, [cells[name] for name in Cell._fields], starts))
+        return work.compute(line_run(spec, [cells[name] for name in Cell._fields], starts))
     except Exception as error:
         spans = [f"{name} {cells[name][0]:g} to {cells[name][-1]:g}" for name in Cell._fields]
         error.add_note(f"in the cells {', '.join(spans)}")
@@ -67,7 +67,7 @@ def run_cells(
     None starts from rest. settle: plate periods before the window, if not the sweep's. Raises
     KernelInputError for values that the kernel does not accept.
     """
-    return to_end(_line_run(spec, (gamma, omega, xi), [start], settle))
+    return to_end(line_run(spec, (gamma, omega, xi), [start], settle))
 
 
 def to_end(run: LineRun) -> Line:
@@ -77,7 +77,7 @@ def to_end(run: LineRun) -> Line:
     return run.line
 
 
-def _line_run(
+def line_run(
     spec: SweepSpec, cells: Sequence[NDArray[Any]], starts: list[Start | None], settle: int | None = None
 ) -> LineRun:
     """Lines of cells as a sweep computes them, at their beginning; on ramps one line for each start.

@@ -250,12 +250,7 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
     spec = from_json(body)
     if not isinstance(spec, SweepSpec):
         raise InvalidRequest.of("protocol.kind", f"must be rest, of a sweep, not {spec.protocol.kind}")
-    with service.ledger.reading() as ledger:
-        measured = ledger.measured()
-    preparer = service.manager.preparer
-    settings = plans.settings_of(
-        spec, lambda level: preparer.cost(level, preparer.plan(level), measured), service.manager.workers()
-    )
+    settings = plans.settings_of(spec, service.manager.pace, service.manager.workers())
     fields = query.model_dump()
     format, plain = fields.pop("format"), plans.PlanQuery(**fields)
     [pilot] = _computed(service, None, plans.parts(settings, plain))

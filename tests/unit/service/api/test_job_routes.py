@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 from served import computing, finished, get, service
-from studies import spec_of
 from tables import for_each
+
+from worker.studies import parse, study_of
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -91,18 +91,15 @@ def test_a_budget_leaves_what_somebody_else_wants(tmp_path: Path, how: str):
 # Estimates
 
 
-def test_the_estimate_uses_the_measured_speed_of_earlier_jobs(tmp_path: Path):
+def test_an_estimate_is_of_a_sample_where_a_worker_tells_it_and_by_the_table_elsewhere(tmp_path: Path):
     with computing(tmp_path) as client:
-        work = SWEEP | spec_of((1.5, 5.0, 400), 0.5, 0.26, settle=3000)
-        here = finished(client, work)
-        cost = client.post("/v1/jobs?validate_only=true", json={**work, "xi": 0.2}).json()
-        assert cost["basis"] == "measured"
-        with client.app.state.service.ledger.reading() as ledger:  # type: ignore[attr-defined]
-            (job,) = ledger.measured()
-        assert cost["core_seconds"] == pytest.approx(job.core_seconds, rel=1e-9)
-        soft = client.post("/v1/jobs?validate_only=true", json={**work, "model": {"kind": "soft"}}).json()
-        assert soft["basis"] == "table"
-        assert get(client, here)["state"] == "done"
+        finished(client, SWEEP)  # its kernel is compiled then
+        auto = SWEEP | {"model": {"kind": "auto"}, "exponents": 0}
+        costs = [client.post("/v1/jobs?validate_only=true", json=spec).json() for spec in (SWEEP, auto)]
+        assert [cost["basis"] for cost in costs] == ["measured", "table"]
+        spec = parse(SWEEP)
+        by_table = study_of(spec).estimate(spec, study_of(spec).plan(spec))
+        assert by_table.at(2.0).core_seconds == 2.0 * by_table.core_seconds != costs[0]["core_seconds"]
 
 
 # Links

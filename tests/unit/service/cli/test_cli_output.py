@@ -51,17 +51,18 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
             {"basis": "measured", "core_seconds": 2_050.0, "bytes": 1_040_000_000,
              "longest_core_seconds": 345_600.0},
             "1,200 cells in 30 chunks, 1.0 GB before compression, about 17 min 5 s on 2 workers "
-            "(2,050.0 core-seconds, from recent jobs; up to 48 h 0 min if every cell were a slow one)",
+            "(2,050.0 core-seconds, from a sample of the study; up to 48 h 0 min if every cell were a "
+            "slow one)",
         ),
         (
             {"computed_cells": (300, 1_100), "least_core_seconds": 3.0, "basis": "measured", "chunks": 1},
             "1,200 cells, of which about 300 to 1,100 are computed, in 1 chunk, at most 2.5 MB before "
-            "compression, about 3 s to 12 s on 2 workers (12.0 core-seconds, from recent jobs)",
+            "compression, about 3 s to 12 s on 2 workers (12.0 core-seconds, from a sample of the study)",
         ),
         (
             {"workers": 0, "core_seconds": 0.5, "basis": "measured"},
             "1,200 cells in 30 chunks, 2.5 MB before compression, about 1 s on one core "
-            "(0.5 core-seconds, from recent jobs)",
+            "(0.5 core-seconds, from a sample of the study)",
         ),
     ],
 )  # fmt: skip

@@ -109,6 +109,7 @@ BACK_TO_14 = """
     ALTER TABLE jobs DROP COLUMN progressed;
     ALTER TABLE jobs DROP COLUMN seconds_left;
     ALTER TABLE jobs ADD COLUMN run_started REAL;
+    ALTER TABLE jobs ADD COLUMN cells_timed INTEGER NOT NULL DEFAULT 0;
     ALTER TABLE jobs ADD COLUMN run_cells INTEGER NOT NULL DEFAULT 0;
     ALTER TABLE jobs DROP COLUMN store;
     ALTER TABLE jobs ADD COLUMN verified REAL;

@@ -36,6 +36,7 @@ from tables import for_each
 
 from service.api.capacity import Activity, Capacity, Lease
 from service.client import Client
+from worker.studies import parse, study_of
 
 ANSWERS: Final = GOLDEN / "answers.json"
 _RIGID: Final[dict[str, Any]] = {"xi": 0.26, "model": {"kind": "rigid"}}
@@ -163,8 +164,9 @@ class Answers:
         if kind == "motion":
             return _document(self._service.post("/v1/trajectories", json=_RIGID | MOTIONS[number]))
         if kind == "cost":
-            spec = list(SPECS.values())[number]
-            return _document(self._service.post("/v1/jobs?validate_only=true", json=spec))
+            spec = parse(list(SPECS.values())[number])
+            study = study_of(spec)
+            return study.estimate(spec, study.plan(spec)).model_dump(mode="json")  # not of a sample
         if kind == "query":
             name, document, query = QUERIES[number]
             return self._document(f"{self._job(name)}/{document}", query)

@@ -219,7 +219,7 @@ def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, exponents):
 def test_an_error_names_the_cells(tmp_path, monkeypatch):
     spec = small(gamma=[1.0, 2.0, 3.5], omega=0.5, xi=0.05)
     plan, url = stored(tmp_path, spec)
-    monkeypatch.setattr(task, "_line_run", None)
+    monkeypatch.setattr(task, "line_run", None)
     with pytest.raises(TypeError) as caught:
         run_chunk(spec, plan[0], url)
     assert caught.value.__notes__ == ["in the cells gamma 1 to 3.5, omega 0.5 to 0.5, xi 0.05 to 0.05"]

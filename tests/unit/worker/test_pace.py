@@ -1,0 +1,58 @@
+"""The sample of a study that tells its pace."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from studies import spec_of
+
+from kernel.params import LANES
+from worker import pace as module
+from worker.pace import MOST, NEIGHBOURS, pace
+from worker.studies import parse
+from worker.sweep.task import to_end
+
+GRID = spec_of((0.5, 6.0, 400), (0.3, 1.5, 60), 0.1, settle=20, observe=20)
+DROPS = {"kind": "basin", "rows": 40, "columns": 40}
+
+
+@pytest.fixture
+def sampled(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The lines computed for samples."""
+    lines: list[Any] = []
+    monkeypatch.setattr(module, "to_end", lambda run: lines.append(run) or to_end(run))
+    return lines
+
+
+def study(**fields: Any) -> Any:
+    return parse(GRID | {"model": {"kind": "rigid"}} | fields)
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_a_ramp_is_sampled_by_neighbours_on_as_many_lines_as_are_side_by_side(direction, sampled):
+    spec = study(protocol={"kind": "ramp", "axis": "gamma", "direction": direction})
+    assert pace(spec) > 0.0
+    [run] = sampled
+    lines = run._gamma.reshape(LANES, -1, min(NEIGHBOURS, MOST // LANES))
+    step = np.diff(spec.axis_values("gamma"))[0]
+    np.testing.assert_allclose(np.diff(lines), step if direction == "up" else -step)
+    assert len({*run._omega}) > 1
+    assert all(np.isin(values, spec.axis_values(name)).all() for name, values in
+               (("gamma", run._gamma), ("omega", run._omega), ("xi", run._xi)))  # fmt: skip
+
+
+def test_a_sample_has_cells_of_the_whole_sweep_and_starts_of_the_plane(sampled):
+    assert pace(study()) > 0.0
+    assert pace(study(gamma=2.0, omega=0.5, protocol=DROPS)) > 0.0
+    cells, *starts = sampled
+    assert len(cells.line.outcome) == MOST
+    assert np.ptp(cells._gamma) > 5.0
+    assert len({tuple(state) for run in starts for state in run._states}) > MOST / 4
+
+
+def test_there_is_no_sample_of_slow_cells_of_other_studies_and_before_kernels_are_compiled(monkeypatch):
+    slow = study(model={"kind": "stepped", "penetration": 1e-4, "steps_per_contact": 100})
+    cycles = parse({"omega": 0.5, "xi": 0.1, "protocol": {"kind": "orbits"}})
+    assert [pace(spec) for spec in (slow, cycles, study(model={"kind": "auto"}))] == [None] * 3
+    monkeypatch.setattr(module, "is_compiled", lambda spec: False)
+    assert pace(study()) is None

@@ -1,0 +1,89 @@
+"""The pace of a study: what a sample of it takes on this worker, relative to the table of costs.
+
+The table is of contact models, and of one machine. Studies of the same contact differ by the shares of their
+cells that rest, are certified, or are aperiodic.
+"""
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from kernel.line import LineRun
+from kernel.params import Cell
+from worker.basins.plan import start_seconds
+from worker.basins.starts import starts_of
+from worker.sweep.plan import cell_seconds, cells_at_once
+from worker.sweep.specification import SweepSpec, is_open
+from worker.sweep.task import line_run, to_end
+from worker.work import compile_for, is_compiled, plate_of
+
+#: Core-seconds of a sample by the table, and its most cells, or starts. There is none of fewer than FEWEST.
+SECONDS: Final = 0.1
+FEWEST, MOST = 16, 512
+#: Neighbouring values of a ramp's axis in a sample. The first one is far from the state before.
+NEIGHBOURS: Final = 32
+#: Cells of a grid whose starts are a sample.
+CELLS: Final = 4
+
+
+def pace(spec: Any) -> float | None:
+    """What a sample of a study takes, in processor time, over what the table of costs says.
+
+    None if a sample would take long: the kernel is not compiled, or its cells take long; and for `auto`.
+    """
+    if not hasattr(spec, "model") or is_open(spec) or not is_compiled(spec):
+        return None
+    whole, sample = math.prod(spec.shape), _of_cells if isinstance(spec, SweepSpec) else _of_starts
+    if isinstance(spec, SweepSpec):
+        seconds = cell_seconds(spec)
+    else:
+        seconds = start_seconds(spec)
+        whole *= spec.protocol.rows * spec.protocol.columns
+    number = int(min(SECONDS / seconds, MOST))
+    if number < FEWEST:
+        return None
+    number = min(number, whole)
+    compile_for(spec)  # loads the kernels
+    took, computed = 0.0, 0
+    for run in sample(spec, number, np.random.default_rng(0)):
+        before = time.thread_time()
+        computed += len(to_end(run).outcome)
+        took += time.thread_time() - before
+    return took / (computed * seconds)
+
+
+def _of_cells(spec: Any, number: int, random: np.random.Generator) -> Iterator[LineRun]:
+    """Runs of `number` cells drawn from a sweep; on a ramp of parts of as many lines as are side by side."""
+    axis, at_once = spec.ramp_axis, cells_at_once(spec)
+    if axis is None:
+        yield line_run(spec, [random.choice(spec.axis_values(name), number) for name in Cell._fields], [])
+        return
+    along = spec.axis_values(axis)[:: -1 if spec.directions[0] == "down" else 1]
+    length = min(NEIGHBOURS, len(along), max(number // at_once, 1))
+    parts = max(number // (at_once * length), 1)
+    firsts = np.sort(random.integers(0, len(along) - length + 1, (at_once, parts)))
+    beside = {name: random.choice(spec.axis_values(name), at_once) for name in Cell._fields}
+    cells = {name: np.repeat(values, parts * length) for name, values in beside.items()}
+    cells[axis] = along[firsts[..., None] + np.arange(length)].ravel()
+    yield line_run(spec, list(cells.values()), [None] * at_once)
+
+
+def _of_starts(spec: Any, number: int, random: np.random.Generator) -> Iterator[LineRun]:
+    """Runs of `number` starts drawn from a few cells of a grid."""
+    for _ in range(CELLS):
+        cell = Cell(*(float(random.choice(spec.axis_values(name))) for name in Cell._fields))
+        states = random.choice(starts_of(spec, *cell), max(number // CELLS, 1))
+        cells = [np.full(len(states), value) for value in cell]
+        yield LineRun(
+            *cells,
+            plate=plate_of(spec.model, *cells),
+            carry=False,
+            settle=spec.settle,
+            observe=spec.observe,
+            keep=spec.keep,
+            micro_flight=spec.micro_flight,
+            states=states,
+        )
