@@ -1,7 +1,8 @@
 """The pace of a study: what a sample of it takes on this worker, relative to the table of costs.
 
-The table is of contact models, and of one machine. Studies of the same contact differ by the shares of their
-cells that rest, are certified, or are aperiodic.
+The sample of an adaptive map also tells how many of its cells are computed. The table is of contact models,
+and of one machine. Studies of the same contact differ by the shares of their cells that rest, are certified,
+or are aperiodic.
 """
 
 import math
@@ -15,7 +16,10 @@ from kernel.line import LineRun
 from kernel.params import Cell
 from worker.basins.plan import start_seconds
 from worker.basins.starts import starts_of
+from worker.maps import plan as maps
+from worker.maps.refinement import Tile, refine_of
 from worker.sweep.plan import cell_seconds, cells_at_once
+from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.specification import SweepSpec, is_open
 from worker.sweep.task import line_run, to_end
 from worker.work import compile_for, is_compiled, plate_of
@@ -25,6 +29,8 @@ SECONDS: Final = 0.1
 FEWEST, MOST = 16, 512
 #: Neighbouring values of a ramp's axis in a sample. The first one is far from the state before.
 NEIGHBOURS: Final = 32
+#: Blocks of a map that are a sample, and the most samples.
+BLOCKS, SAMPLES = 16, 12
 #: Cells of a grid whose starts are a sample.
 CELLS: Final = 4
 
@@ -45,14 +51,35 @@ def pace(spec: Any) -> float | None:
     number = int(min(SECONDS / seconds, MOST))
     if number < FEWEST:
         return None
-    number = min(number, whole)
+    number, random = min(number, whole), np.random.default_rng(0)
     compile_for(spec)  # loads the kernels
+    if spec.fills_in:
+        return _of_map(spec, random)
+    took, computed = _timed(sample(spec, number, random))
+    return took / computed / seconds
+
+
+def _timed(runs: Iterator[LineRun]) -> tuple[float, int]:
+    """Processor time of these runs, s, and the number of their cells."""
     took, computed = 0.0, 0
-    for run in sample(spec, number, np.random.default_rng(0)):
+    for run in runs:
         before = time.thread_time()
         computed += len(to_end(run).outcome)
         took += time.thread_time() - before
-    return took / (computed * seconds)
+    return took, computed
+
+
+def _of_map(spec: Any, random: np.random.Generator) -> float:
+    """The pace of an adaptive map, by samples of BLOCKS blocks until they took SECONDS."""
+    took, computed, shares = 0.0, 0, list[float]()
+    while took < SECONDS and len(shares) < SAMPLES:
+        blocks = _Blocks(spec, random)
+        seconds, cells = _timed(blocks.runs())
+        took, computed = took + seconds, computed + cells
+        shares.append(blocks.share)
+    plan = maps.make_plan(spec)
+    seconds = took / computed * math.fsum(shares) / len(shares) * math.prod(spec.shape)
+    return float((seconds + maps.TILE_SECONDS * len(plan)) / maps.estimate(spec, plan).core_seconds)
 
 
 def _of_cells(spec: Any, number: int, random: np.random.Generator) -> Iterator[LineRun]:
@@ -69,6 +96,47 @@ def _of_cells(spec: Any, number: int, random: np.random.Generator) -> Iterator[L
     cells = {name: np.repeat(values, parts * length) for name, values in beside.items()}
     cells[axis] = along[firsts[..., None] + np.arange(length)].ravel()
     yield line_run(spec, list(cells.values()), [None] * at_once)
+
+
+class _Blocks:
+    """Some of the coarsest blocks of an adaptive map, refined side by side."""
+
+    def __init__(self, spec: Any, random: np.random.Generator) -> None:
+        self._spec, refine = spec, refine_of(spec)
+        _, xis, *grid = spec.shape
+        self._shape = tuple(min(refine.coarsest + 1, n) for n in grid)
+        self._first = [random.integers(0, a - b + 1, BLOCKS) for a, b in zip(grid, self._shape, strict=True)]
+        self._xi = random.integers(0, xis, BLOCKS)
+        self._tiles = [Tile(self._shape, refine) for _ in range(BLOCKS)]
+        self._found = np.zeros((len(MODE_ARRAYS), BLOCKS, math.prod(self._shape)), np.int64)
+        self._computed = np.zeros((BLOCKS, math.prod(self._shape)), np.bool_)
+
+    def runs(self) -> Iterator[LineRun]:
+        """The rounds of the refinement."""
+        while wanted := [(i, cell) for i, tile in enumerate(self._tiles) for cell in tile.cells]:
+            blocks, cells = np.array(wanted).T
+            row, column = np.unravel_index(cells, self._shape)
+            indices = {
+                "xi": self._xi[blocks],
+                "omega": self._first[0][blocks] + row,
+                "gamma": self._first[1][blocks] + column,
+            }
+            run = line_run(
+                self._spec, [self._spec.axis_values(name)[indices[name]] for name in Cell._fields], []
+            )
+            yield run
+            self._computed[blocks, cells] = True
+            for array, name in zip(self._found, MODE_ARRAYS, strict=True):
+                array[blocks, cells] = getattr(run.line, name)
+            for i, tile in enumerate(self._tiles):
+                tile.split(*(array[i].reshape(self._shape) for array in self._found))
+
+    @property
+    def share(self) -> float:
+        """The share of cells computed; neighbours share edges and corners of a block."""
+        weights = [np.r_[0.5, np.ones(max(n - 2, 0)), 0.5] if n > 1 else np.ones(1) for n in self._shape]
+        weight = np.outer(*weights).ravel()
+        return float((self._computed * weight).mean(axis=0).sum() / weight.sum())
 
 
 def _of_starts(spec: Any, number: int, random: np.random.Generator) -> Iterator[LineRun]:

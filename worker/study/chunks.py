@@ -176,9 +176,12 @@ class Cost(Strict):
         """The cost at a pace of `worker.pace`; as the table says without one."""
         if pace is None:
             return self
-        names = ("core_seconds", "least_core_seconds", "longest_core_seconds")
-        known = {name: seconds * pace for name in names if (seconds := getattr(self, name)) is not None}
-        return self.model_copy(update={**known, "basis": "measured"})
+        seconds = {"core_seconds": pace * self.core_seconds}
+        if self.longest_core_seconds is not None:
+            seconds["longest_core_seconds"] = pace * self.longest_core_seconds
+        if self.least_core_seconds is not None:  # of an adaptive map, of which the sample tells all
+            seconds["least_core_seconds"] = seconds["core_seconds"]
+        return self.model_copy(update={**seconds, "basis": "measured"})
 
 
 def check_size(

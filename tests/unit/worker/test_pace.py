@@ -8,8 +8,9 @@ from studies import spec_of
 
 from kernel.params import LANES
 from worker import pace as module
+from worker import store
 from worker.pace import MOST, NEIGHBOURS, pace
-from worker.studies import parse
+from worker.studies import parse, run_task, study_of
 from worker.sweep.task import to_end
 
 GRID = spec_of((0.5, 6.0, 400), (0.3, 1.5, 60), 0.1, settle=20, observe=20)
@@ -56,3 +57,18 @@ def test_there_is_no_sample_of_slow_cells_of_other_studies_and_before_kernels_ar
     assert [pace(spec) for spec in (slow, cycles, study(model={"kind": "auto"}))] == [None] * 3
     monkeypatch.setattr(module, "is_compiled", lambda spec: False)
     assert pace(study()) is None
+
+
+def test_blocks_of_a_map_have_the_share_of_its_cells_that_is_computed(tmp_path):
+    spec = study(gamma=np.linspace(0.5, 6.0, 129).tolist(), omega=np.linspace(0.3, 1.5, 129).tolist(),
+                 settle=100, observe=60, refine={"by": "mode"})  # fmt: skip
+    plan = study_of(spec).plan(spec)
+    store.create(f"{tmp_path}/map", study_of(spec).variables(spec, plan.chunk_shape))
+    computed = sum(run_task(spec, chunk, f"{tmp_path}/map").computed for chunk in plan)
+    random, shares = np.random.default_rng(1), []
+    for _ in range(12):
+        blocks = module._Blocks(spec, random)
+        for run in blocks.runs():
+            to_end(run)
+        shares.append(blocks.share)
+    assert np.mean(shares) == pytest.approx(computed / 129**2, rel=0.1)
