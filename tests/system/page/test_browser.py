@@ -1212,6 +1212,16 @@ def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other:
                 assert _serious(page) == [], (path, scheme, width)
 
 
+def test_a_pressed_button_is_told_from_others_in_forced_colours(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, log="x"), forced_colors="active") as page:
+        wait_shown(page, along="gamma")
+        buttons = [page.get_by_role("button", name=f"log {axis}") for axis in "xy"]
+        pressed, other = (
+            button.evaluate("button => getComputedStyle(button).backgroundColor") for button in buttons
+        )
+        assert pressed != other
+
+
 def _serious(page: Any) -> list[tuple[str, str]]:
     """The serious violations of the document."""
     violations = page.evaluate("axe.run(document, { resultTypes: ['violations'] })")["violations"]
