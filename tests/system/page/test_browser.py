@@ -455,6 +455,18 @@ def test_the_page_waits_for_a_busy_service_and_says_so(browser: Any, address: st
             assert page.locator(".problem:visible").count() == 0
 
 
+def test_the_page_says_why_nothing_is_computed_while_an_answer_is_awaited(
+    browser: Any, address: str, loop: str
+):
+    answer = {"status": 202, "json": {"notice": "no workers yet"}}
+    with opened(browser, "about:blank", hurried=True) as page:
+        page.route("**/diagram?*", lambda route: route.fulfill(**answer), times=2)
+        page.goto(view(address, loop))
+        page.locator("#busy", has_text="Nothing is computed now: no workers yet.").wait_for()
+        wait_shown(page, along="gamma")
+        page.locator("#busy").wait_for(state="hidden")
+
+
 def test_an_error_is_shown_until_the_service_answers_again(browser: Any, address: str, loop: str):
     failing = {"status": 500, "json": {"detail": "a disk is full"}}
     with opened(browser, view(address, loop), expected=("500",), hurried=True) as page:
