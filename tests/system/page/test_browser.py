@@ -467,6 +467,21 @@ def test_the_page_says_why_nothing_is_computed_while_an_answer_is_awaited(
         page.locator("#busy").wait_for(state="hidden")
 
 
+def test_the_page_works_below_a_path_of_a_proxy(browser: Any, address: str, loop: str):
+    below = f"{address}/lab"
+    with opened(browser, "about:blank") as page:
+        page.route(f"{address}/**", lambda route: route.abort())
+        page.route(f"{below}/**", lambda route: route.continue_(url=route.request.url.replace("/lab/", "/")))
+        page.goto(view(below, loop))
+        wait_shown(page, along="gamma")
+        open_tab(page, "Details")
+        page.get_by_text(f'xarray.open_zarr("{below}/v1/jobs/{loop}/zarr")').wait_for()
+        page.get_by_role("link", name="API").click()
+        page.get_by_role("link", name="Explore").click()  # from the documentation
+        page.get_by_role("heading", name="Explore a spring").wait_for()
+        assert page.url.startswith(f"{below}/#/explore")
+
+
 def test_an_error_is_shown_until_the_service_answers_again(browser: Any, address: str, loop: str):
     failing = {"status": 500, "json": {"detail": "a disk is full"}}
     with opened(browser, view(address, loop), expected=("500",), hurried=True) as page:
@@ -574,6 +589,8 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
         open_tab(page, "Details")
         page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
+        page.get_by_label("Language").select_option("Python")
+        page.locator(".snippets pre", has_text='Client("http://127.0.0.1:8000")').wait_for()  # not file://
         screenshot(page, "shared-details", whole=False)
         page.get_by_role("link", name="Bouncing spring").click()  # there is no list
         wait_shown(page, xi=0.1)

@@ -8,6 +8,8 @@ export const connection = new EventTarget();
 
 /** What a file holds that was shared: {job, answers, note, about}; null where there is a service. */
 export const shared = JSON.parse(document.getElementById("shared")?.textContent ?? "null");
+/** The address of the service, which may have a path behind a proxy; of a shared file the usual one. */
+export const SERVICE = shared ? "http://127.0.0.1:8000" : location.origin + location.pathname.replace(/\/$/, "");
 const TIMEOUT_MS = 30_000;
 const DOWNLOAD_TIMEOUT_MS = 600_000;
 const TOKEN_KEY = "bounce-token";
@@ -72,7 +74,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
   const type = body instanceof Blob ? "application/octet-stream" : "application/json";
   const headers = { ...(body !== undefined && { "Content-Type": type }), ...(token && { Authorization: `Bearer ${token}` }) };
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
-  const response = await answered(fetch(path, {
+  const response = await answered(fetch(SERVICE + path, {
     method,
     headers,
     body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
