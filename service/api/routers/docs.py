@@ -18,15 +18,15 @@ _PAGE: Final = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{title}: HTTP API</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta name="color-scheme" content="light dark">
-<link rel="icon" href="/static/icon.svg" type="image/svg+xml">
-<link rel="stylesheet" href="/static/style.css"><link rel="stylesheet" href="/static/docs.css">
+<link rel="icon" href="static/icon.svg" type="image/svg+xml">
+<link rel="stylesheet" href="static/style.css"><link rel="stylesheet" href="static/docs.css">
 </head><body>
 <a class="skip" href="#content">Skip to the content</a>
-<header><a class="name" href="/"><img src="/static/icon.svg" alt="" width="26" height="26">Bouncing spring</a>
-<nav aria-label="Main"><a href="/#/">Sweeps</a><a href="/#/new">New</a><a href="/#/explore">Explore</a>
-<a href="/docs" aria-current="page">API</a></nav></header>
+<header><a class="name" href="./"><img src="static/icon.svg" alt="" width="26" height="26">Bouncing spring</a>
+<nav aria-label="Main"><a href="./#/">Sweeps</a><a href="./#/new">New</a><a href="./#/explore">Explore</a>
+<a href="docs" aria-current="page">API</a></nav></header>
 <main id="content" tabindex="-1">
-<h1>HTTP API</h1><p>{summary} Machine-readable: <a href="/openapi.json">/openapi.json</a>.</p>
+<h1>HTTP API</h1><p>{summary} Machine-readable: <a href="openapi.json">/openapi.json</a>.</p>
 <nav aria-label="Calls"><ul class="calls">{contents}</ul></nav>
 <h2 id="specification">The specification of a sweep</h2>
 <p>{about} Submit it with <a href="#{submit}">POST /v1/jobs</a>; the same sweep is always the same job.</p>

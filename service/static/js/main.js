@@ -59,6 +59,7 @@ function takeMeasured(file, target) {
 }
 
 function NotFound() {
+  document.title = "Page not found · Bouncing spring";
   root.replaceChildren(h("h1", { tabindex: "-1" }, "Page not found"), h("p", {}, h("a", { href: "#/" }, "All sweeps")));
 }
 

@@ -455,6 +455,33 @@ def test_the_page_waits_for_a_busy_service_and_says_so(browser: Any, address: st
             assert page.locator(".problem:visible").count() == 0
 
 
+def test_the_page_says_why_nothing_is_computed_while_an_answer_is_awaited(
+    browser: Any, address: str, loop: str
+):
+    answer = {"status": 202, "json": {"notice": "no workers yet"}}
+    with opened(browser, "about:blank", hurried=True) as page:
+        page.route("**/diagram?*", lambda route: route.fulfill(**answer), times=2)
+        page.goto(view(address, loop))
+        page.locator("#busy", has_text="Nothing is computed now: no workers yet.").wait_for()
+        wait_shown(page, along="gamma")
+        page.locator("#busy").wait_for(state="hidden")
+
+
+def test_the_page_works_below_a_path_of_a_proxy(browser: Any, address: str, loop: str):
+    below = f"{address}/lab"
+    with opened(browser, "about:blank") as page:
+        page.route(f"{address}/**", lambda route: route.abort())
+        page.route(f"{below}/**", lambda route: route.continue_(url=route.request.url.replace("/lab/", "/")))
+        page.goto(view(below, loop))
+        wait_shown(page, along="gamma")
+        open_tab(page, "Details")
+        page.get_by_text(f'xarray.open_zarr("{below}/v1/jobs/{loop}/zarr")').wait_for()
+        page.get_by_role("link", name="API").click()
+        page.get_by_role("link", name="Explore").click()  # from the documentation
+        page.get_by_role("heading", name="Explore a spring").wait_for()
+        assert page.url.startswith(f"{below}/#/explore")
+
+
 def test_an_error_is_shown_until_the_service_answers_again(browser: Any, address: str, loop: str):
     failing = {"status": 500, "json": {"detail": "a disk is full"}}
     with opened(browser, view(address, loop), expected=("500",), hurried=True) as page:
@@ -562,6 +589,8 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
         open_tab(page, "Details")
         page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
+        page.get_by_label("Language").select_option("Python")
+        page.locator(".snippets pre", has_text='Client("http://127.0.0.1:8000")').wait_for()  # not file://
         screenshot(page, "shared-details", whole=False)
         page.get_by_role("link", name="Bouncing spring").click()  # there is no list
         wait_shown(page, xi=0.1)
@@ -1210,6 +1239,16 @@ def test_axe_finds_nothing_serious(browser: Any, address: str, loop: str, other:
                 if "BOUNCE_TEST_SCREENSHOTS" in os.environ:
                     screenshot(page, f"{scheme}-{width}-{VIEWS.index(path)}")
                 assert _serious(page) == [], (path, scheme, width)
+
+
+def test_a_pressed_button_is_told_from_others_in_forced_colours(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, log="x"), forced_colors="active") as page:
+        wait_shown(page, along="gamma")
+        buttons = [page.get_by_role("button", name=f"log {axis}") for axis in "xy"]
+        pressed, other = (
+            button.evaluate("button => getComputedStyle(button).backgroundColor") for button in buttons
+        )
+        assert pressed != other
 
 
 def _serious(page: Any) -> list[tuple[str, str]]:

@@ -63,6 +63,7 @@ def test_an_address_of_nothing_leaves_a_page_that_works(browser: Any, address: s
         for name in ("constructor", "toString", "__proto__"):
             page.goto(f"{address}/#/{name}")
             page.get_by_role("heading", name="Page not found").wait_for()
+            assert page.title() == "Page not found · Bouncing spring"  # not of the sweep before
             page.goto(f"{address}/#/job/{jobs[0]}/{name}?cell=1,0.5,0.05,{name}")
             page.locator(".tabs a[aria-current=page]", has_text="Diagram").wait_for()
             page.locator(".trajectory .problem", has_text="direction").wait_for()

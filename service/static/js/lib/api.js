@@ -2,12 +2,14 @@
 
 import { AXES } from "./physics.js";
 
-// Dispatches "unreachable" when a request gets no answer, "waiting" with the number of `detail.requests` that a busy
-// service put off, and "unauthorized" when the service requires a token; `detail.refused`: not the one that it got.
+// Dispatches "unreachable" when a request gets no answer, "waiting" when what requests wait for has changed, with
+// `detail`, the last reason or undefined, and "unauthorized" when the service requires a token; `detail.refused`: not the one that it got.
 export const connection = new EventTarget();
 
 /** What a file holds that was shared: {job, answers, note, about}; null where there is a service. */
 export const shared = JSON.parse(document.getElementById("shared")?.textContent ?? "null");
+/** The address of the service, which may have a path behind a proxy; of a shared file the usual one. */
+export const SERVICE = shared ? "http://127.0.0.1:8000" : location.origin + location.pathname.replace(/\/$/, "");
 const TIMEOUT_MS = 30_000;
 const DOWNLOAD_TIMEOUT_MS = 600_000;
 const TOKEN_KEY = "bounce-token";
@@ -24,12 +26,15 @@ export function takeToken() {
 }
 
 const RETRY_S = 1; // without a Retry-After
-let waiting = 0; // requests
+const BUSY = "The service is busy with other requests. Waiting for its answer …";
+const waiting = new Map(); // by request, why it waits
 
 // The response to one request. A GET, or what `waits`, is repeated: while workers compute its answer (202), and until
 // `timeout` while the service is too busy (429). Throws a problem (see problemOf), Unreachable, or an AbortError if
 // `signal` aborts.
-export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } = {}) {
+export const request = (path, { timeout = TIMEOUT_MS, waits, ...options } = {}) => answer(path, options, timeout, waits).finally(() => tell(options));
+
+async function answer(path, options, timeout, waits) {
   const isRepeated = waits ?? (options.method ?? "GET") === "GET";
   let deadline = performance.now() + timeout;
   for (;;) {
@@ -37,11 +42,15 @@ export async function request(path, { timeout = TIMEOUT_MS, waits, ...options } 
     const pause = 1000 * Math.max(Number(response.headers.get("Retry-After")) || RETRY_S, 0.1);
     const left = deadline - performance.now();
     if (response.status === 202 && isRepeated) {
-      await sleep(pause, options.signal);
+      const { notice } = await answered(response.json(), options.signal);
+      tell(options, notice ? `Nothing is computed now: ${notice}.` : undefined);
+      await sleep(pause);
       deadline = performance.now() + timeout;
     } else if (response.ok) return response;
-    else if (response.status === 429 && isRepeated && left > 0) await sleepWhileBusy(Math.min(pause, left), options.signal);
-    else throw await problemOf(response);
+    else if (response.status === 429 && isRepeated && left > 0) {
+      tell(options, BUSY);
+      await sleep(Math.min(pause, left));
+    } else throw await problemOf(response);
   }
 }
 
@@ -65,7 +74,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
   const type = body instanceof Blob ? "application/octet-stream" : "application/json";
   const headers = { ...(body !== undefined && { "Content-Type": type }), ...(token && { Authorization: `Bearer ${token}` }) };
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
-  const response = await answered(fetch(path, {
+  const response = await answered(fetch(SERVICE + path, {
     method,
     headers,
     body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
@@ -83,16 +92,13 @@ const answered = (promise, signal) => promise.catch((error) => {
   throw new DOMException("the service does not answer", "Unreachable");
 });
 
-async function sleepWhileBusy(ms, signal) {
-  const tell = (change) => connection.dispatchEvent(new CustomEvent("waiting", { detail: { requests: (waiting += change) } }));
-  tell(1);
-  await sleep(ms, signal).finally(() => tell(-1));
+function tell(request, why) {
+  if (waiting.get(request) === why) return;
+  waiting[why ? "set" : "delete"](request, why);
+  connection.dispatchEvent(new CustomEvent("waiting", { detail: [...waiting.values()].at(-1) }));
 }
 
-export async function sleep(ms, signal) {
-  await new Promise((resolve) => setTimeout(resolve, ms));
-  signal?.throwIfAborted();
-}
+export const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
 export async function requestJson(path, options) {
   const response = await request(path, options);
@@ -130,10 +136,7 @@ export function partsOf({ attrs, dims, ...variables }, dim) {
 export const requestBlob = async (path, options) => answered((await request(path, { ...options, timeout: DOWNLOAD_TIMEOUT_MS })).blob());
 
 /** A query string; null, undefined and empty values are left out. */
-export function query(values) {
-  const set = Object.entries(values).filter(([, value]) => value !== null && value !== undefined && value !== "");
-  return new URLSearchParams(set.map(([name, value]) => [name, String(value)])).toString();
-}
+export const query = (values) => new URLSearchParams(Object.entries(values).filter(([, value]) => (value ?? "") !== "")).toString();
 
 /** Whether a view need not show this error: the banner or the token dialog does, or the request was aborted on purpose. */
 export const isHandledElsewhere = (error) => error.name === "Unreachable" || error.name === "AbortError" || error.status === 401;

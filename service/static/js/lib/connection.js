@@ -1,4 +1,4 @@
-// The banner shown while the service does not answer, the note while it is busy, and the dialog for its access token.
+// The banner shown while the service does not answer, the note on what requests wait for, and the dialog for its access token.
 
 import { connection, request, setToken, sleep } from "./api.js";
 import { announce } from "./dom.js";
@@ -21,7 +21,7 @@ export function watchConnection(onRestored) {
   });
 
   const busy = document.getElementById("busy");
-  connection.addEventListener("waiting", ({ detail: { requests } }) => { busy.hidden = !requests; });
+  connection.addEventListener("waiting", ({ detail: why }) => Object.assign(busy, { hidden: !why }, why && { textContent: why }));
 
   const refusal = dialog.querySelector(".problem");
   connection.addEventListener("unauthorized", ({ detail: { refused } }) => {

@@ -1,6 +1,6 @@
 // A specification as text to copy: a program in Python, a TOML file for the shell, a request with curl, JSON.
 
-import { hasToken } from "./api.js";
+import { SERVICE, hasToken } from "./api.js";
 import { choice, copyButton, h } from "./dom.js";
 import { AXES, isSweep } from "./physics.js";
 
@@ -34,13 +34,13 @@ const LANGUAGES = {
   Python: (spec) => `from bouncing_spring import Client
 
 spec = ${python(spec)}
-with Client("${location.origin}") as client:
+with Client("${SERVICE}") as client:
     job = client.submit(spec).wait()${drawing(spec)}
 `,
-  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${location.origin}
+  TOML: (spec) => `# bounce submit sweep.toml --wait --url ${SERVICE}
 ${assignments(spec).join("\n")}
 `,
-  curl: (spec) => `curl ${location.origin}/v1/jobs -H "Content-Type: application/json"${hasToken() ? ' -H "Authorization: Bearer $BOUNCE_TOKEN"' : ""} -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
+  curl: (spec) => `curl ${SERVICE}/v1/jobs -H "Content-Type: application/json"${hasToken() ? ' -H "Authorization: Bearer $BOUNCE_TOKEN"' : ""} -d '${JSON.stringify(spec).replaceAll("'", "'\\''")}'
 `,
   JSON: (spec) => `${JSON.stringify(spec, null, 2)}\n`,
 };

@@ -2,7 +2,7 @@
 // selected, its audit, and access from elsewhere.
 
 import { link } from "../lib/address.js";
-import { partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
+import { SERVICE, partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
 import { announce, downloads, h, problemLine, workButton } from "../lib/dom.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
 import { axisText, isSweep } from "../lib/physics.js";
@@ -36,7 +36,7 @@ export class Details {
       !shared && [
         h("h2", {}, "Results"),
         h("p", {}, "As an xarray dataset, loaded as needed:"),
-        h("pre", { tabindex: "0" }, `xarray.open_zarr("${location.origin}/v1/jobs/${job.id}/zarr")`),
+        h("pre", { tabindex: "0" }, `xarray.open_zarr("${SERVICE}/v1/jobs/${job.id}/zarr")`),
         downloads(wholeStudy(job, [["NetCDF", "nc"], ["Parquet", "parquet"]])),
       ],
     ));
