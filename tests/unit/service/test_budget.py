@@ -1,5 +1,6 @@
 """A budget is kept, and used: levels computed by a runner whose speed is not what its estimates say."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from studies import spec_of
 
+from kernel.params import KERNEL_VERSION
 from service import local
 from service.budget import Answer, within
 from worker.spec.errors import SpecInvalid
@@ -128,3 +130,11 @@ def test_a_budget_leaves_what_another_study_has_computed_and_takes_up_its_own_le
     with local.computed(level(SweepSpec(**spec), (1, 1, 4)), local.partial_of(other), progress=False):
         pass
     assert local.run(spec, other, budget=60.0, progress=False).sizes["gamma"] == 60
+
+
+def test_the_same_run_within_a_budget_goes_on_from_the_finest_level_done(tmp_path: Path):
+    store, begun, done = tmp_path / "sweep.zarr", [], level(SPEC, (1, 24, Fraction(96, 7)))
+    with local.computed(done, local.partial_of(store), progress=False):
+        pass  # as an interrupted run leaves it
+    local.run(SPEC, store, budget=4.0, progress=lambda job: begun.append(job.id))
+    assert begun[0] == done.job_id(KERNEL_VERSION)
