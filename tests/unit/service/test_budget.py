@@ -29,6 +29,7 @@ class Simulated:
 
     def __init__(self, cell: float, start: float, guess: float) -> None:
         self.now, self.cell, self.start, self.guess = 0.0, cell, start, guess
+        self.wait = 0.0  # seconds before the first job, of other work
         self.done: list[SweepSpec] = []
 
     def clock(self) -> float:
@@ -43,7 +44,8 @@ class Simulated:
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         if spec in self.done:
             return True
-        takes = self.start + cells(spec, (1, 1, 1)) * self.cell
+        takes = self.wait + self.start + cells(spec, (1, 1, 1)) * self.cell
+        self.wait = 0.0
         self.now += min(takes, seconds)
         return takes <= seconds
 
@@ -75,6 +77,12 @@ def test_a_budget_is_used():
         used.append(1.0 if whole else (began + sum(level.seconds for level in levels)) / budget)
     assert np.mean(np.array(used) > 0.6) > 0.95
     assert min(used) > 0.5
+
+
+def test_a_budget_whose_first_level_waited_for_other_work_is_used():
+    runner = Simulated(cell=1e-3, start=0.1, guess=1.0)
+    runner.wait = 10.0
+    assert within(SPEC, 30.0, runner, clock=runner.clock).levels[-1].cells > 5_000
 
 
 def test_a_budget_begins_with_what_is_done():
