@@ -29,6 +29,8 @@ MOST_KEPT: Final = 400 * 2**20
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
 IDLE_SECONDS: Final = 20.0
+#: Seconds in which a process that is told to end may compile; one that is frozen is killed then.
+STOP_SECONDS: Final = 60.0
 
 
 def _do_nothing() -> None: ...
@@ -208,6 +210,9 @@ class _Process:
     def stop(self) -> None:
         """End the process soon, once no kernel compiles; a thread that waits in `call` notices."""
         self._process.terminate()
+        later = threading.Timer(STOP_SECONDS, self._process.kill)
+        later.daemon = True
+        later.start()
 
     def end(self) -> None:
         with self._ending:  # two threads that close a connection may close another file

@@ -126,8 +126,7 @@ def within(
         timed = [done for done in answer.levels if done.measured]
         if steps == WHOLE:
             break
-        # without a measurement only the table gives the speed, which may be wrong by half
-        steps = _finer(spec, timed, steps, left) if timed else finest(spec, 0.5 * left * by_table, steps)
+        steps = _finer(spec, timed, steps, left, by_table)
     if not answer.levels:
         took = clock() - began
         rule = f"was over before the first level of {cells(part, WHOLE):,} cells was complete"
@@ -143,18 +142,23 @@ def within(
     return answer
 
 
-def _finer(spec: SweepSpec, levels: Sequence[Level], steps: Steps, seconds: float) -> Steps | None:
+def _finer(
+    spec: SweepSpec, levels: Sequence[Level], steps: Steps, seconds: float, by_table: float
+) -> Steps | None:
     """The steps of the next level after `steps`; None if none fits into `seconds`.
 
-    levels: those that were timed.
+    levels: those that were timed. by_table: cells in a second, where nothing was measured.
     """
-    rate, start, told = _speed(levels)
+    # without a measurement only the table gives the speed, which may be wrong by half
+    rate, start, told = _speed(levels) if levels else (2.0 / by_table, 0.0, False)
     most = (seconds - start) / rate
-    if levels[-1].seconds < (MEASURES if told else MEASURES_ALONE) * seconds:
+    if not levels or levels[-1].seconds < (MEASURES if told else MEASURES_ALONE) * seconds:
         probe = finest(spec, PROBE * most, steps) or coarsest(spec, steps)
         if cells(spec, probe) <= LARGE_PROBE * most:
             return probe
-    return finest(spec, most, steps)
+    # the first level may have waited for other work: another one measures the speed
+    waited = None if told else finest(spec, PROBE * seconds * by_table, steps)
+    return finest(spec, most, steps) or waited
 
 
 def _speed(levels: Sequence[Level]) -> tuple[float, float, bool]:

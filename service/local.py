@@ -23,6 +23,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -59,7 +60,7 @@ from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Problem, SpecInvalid, rule_of
 from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
-from worker.sweep.levels import is_level
+from worker.sweep.levels import cells, steps_of
 from worker.sweep.plan import cell_seconds
 from worker.sweep.specification import is_open
 from worker.work import compile_for, is_compiled
@@ -338,7 +339,11 @@ class _Runner:
             if self._progress is True:
                 display_line(f"{text}, {left:.0f} s left" if left else text)
 
-        answer = budgets.within(spec, budget, self, show, began=began)
+        with self._ledger.reading() as reading:
+            done = [renewed(job.spec) for job in reading.search() if job.state is JobState.DONE]
+        levels = [steps for each in done if (steps := steps_of(spec, each))]
+        known = max(levels, key=partial(cells, spec), default=None)
+        answer = budgets.within(spec, budget, self, show, began=began, known=known)
         assert self._last is not None
         return self._last._replace(audit=answer.audit)
 
@@ -412,7 +417,7 @@ def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = Fal
 
     def belongs(other: Any) -> bool:
         if levels and isinstance(spec, SweepSpec) and isinstance(other, SweepSpec):
-            return is_level(spec, other)
+            return steps_of(spec, other) is not None
         return bool(other == spec)
 
     with ledger.reading() as reading:

@@ -37,7 +37,7 @@ _BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 _effort_option: Final = click.option(
-    "--effort", metavar="draft|standard|thorough",
+    "--effort", type=click.Choice(["draft", "standard", "thorough"]),
     help="Windows of the cells, in place of settle, observe and until.",
 )  # fmt: skip
 
@@ -294,7 +294,7 @@ def delete(job: "Job") -> None:
     "--before", "created_before", type=DAY, metavar="DATE", help="List only jobs created before DATE (UTC)."
 )
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
-@click.option("--limit", type=click.IntRange(min=1), help="List at most this many jobs.")
+@click.option("--limit", type=click.IntRange(1, sys.maxsize), help="List at most this many jobs.")
 @json_option
 @with_client
 def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, **wanted: Any) -> None:

@@ -72,7 +72,8 @@ class WebServer(uvicorn.Server):
         try:
             self.run(sockets=[self._listener])
         except SystemExit:  # uvicorn's reaction to a failed startup
-            pass
+            if self.started:  # the command's to SIGHUP
+                raise
         finally:
             if not self.url.done():
                 stopped = NotStarted("the service was stopped before it had started")

@@ -41,20 +41,17 @@ def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
     return SweepSpec.parse(spec.as_submitted() | thinned)
 
 
-def is_level(spec: SweepSpec, other: SweepSpec) -> bool:
-    """Whether another sweep is a level of this one, or this one itself."""
-    values = {axis: getattr(spec, axis) for axis in AXES}
-    same = other.model_copy(update=values) == spec
-    return same and all(np.isin(other.axis_values(axis), spec.axis_values(axis)).all() for axis in AXES)
+def steps_of(spec: SweepSpec, other: SweepSpec) -> Steps | None:
+    """The steps with which another sweep is a level of this one; None if it is none."""
+    if other.model_copy(update={axis: getattr(spec, axis) for axis in AXES}) != spec:
+        return None
+    steps = [_step_of(spec.axis_values(axis), other.axis_values(axis)) for axis in AXES]
+    return tuple(step for step in steps if step) if all(steps) else None
 
 
 def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
     """The indices of a level's values on the axes of the sweep."""
-    along = zip(spec.shape[1:], map(Fraction, steps), strict=True)
-    return [
-        np.append(np.arange(_values(n, step) - 1) * step.numerator // step.denominator, n - 1)
-        for n, step in along
-    ]
+    return [_indices(n, Fraction(step)) for n, step in zip(spec.shape[1:], steps, strict=True)]
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
@@ -107,6 +104,17 @@ def _parts(n: int, step: Fraction) -> list[Fraction]:
     parts = [step / part for part in range(1, int(step) + 1)]
     kept = [part for i, part in enumerate(parts) if i < PARTS or part.denominator == 1]
     return [*(part for part in kept if _values(n, part) < n), Fraction(1)]
+
+
+def _step_of(values: NDArray[np.float64], kept: NDArray[np.float64]) -> Fraction | None:
+    """The step with which a level keeps these values of an axis; None if there is none."""
+    steps = (Fraction(step, part) for step in STEPS for part in range(1, step + 1))
+    alike = (step for step in steps if _values(len(values), step) == len(kept))
+    return next((step for step in alike if np.array_equal(values[_indices(len(values), step)], kept)), None)
+
+
+def _indices(n: int, step: Fraction) -> NDArray[np.int64]:
+    return np.append(np.arange(_values(n, step) - 1) * step.numerator // step.denominator, n - 1)
 
 
 def _values(n: int, step: Fraction) -> int:

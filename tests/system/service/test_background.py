@@ -141,6 +141,19 @@ def test_a_kernel_is_compiled_to_its_end_for_a_client_that_leaves(tmp_path: Path
         assert compiled.exists()
 
 
+def test_a_frozen_process_gives_its_place_back_when_the_client_leaves(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(background, "STOP_SECONDS", 0.5)
+    leaving = Asker()
+    with closing(Processes(1)) as processes, ThreadPoolExecutor(1) as pool:
+        os.kill(processes.run(os.getpid), signal.SIGSTOP)
+        waiting = pool.submit(leaving.run, partial(processes.run, os.getpid))
+        wait_for(lambda: not processes._idle)
+        leaving.leave()
+        with pytest.raises(NotComputed):
+            waiting.result(DEADLINE)
+        assert processes.run(divmod, 17, 5) == (3, 2)
+
+
 def blocks_interrupts(pid: int) -> bool:
     status = Path(f"/proc/{pid}/status").read_text()
     [blocked] = [line.split()[1] for line in status.splitlines() if line.startswith("SigBlk:")]

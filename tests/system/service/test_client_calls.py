@@ -187,6 +187,12 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
     assert len(output_of(idle, "list", "--limit", "1").splitlines()) == 2
 
 
+def test_values_that_an_option_cannot_have_are_wrong_options(idle: Running, tmp_path: Path):
+    (file := tmp_path / "sweep.json").write_text("{}")
+    for words in (("list", "--limit", str(2**64)), ("submit", str(file), "--effort", "abc")):
+        assert bounce(idle, *words).exit_code == 2
+
+
 def test_orbits_are_printed_and_written(running: Running, tmp_path: Path):
     words = ("orbits", "--omega", "0.6", "--xi", "0.05", "--modes", "1-1")
     folds = [line for line in output_of(running, *words).splitlines() if " fold " in line]

@@ -56,6 +56,7 @@ def has_processes(command: Command) -> bool:
         pytest.param(("figure", "2"), has_processes, True, signal.SIGINT, id="starting workers"),
         pytest.param(RUN, writes("compiling"), False, signal.SIGTERM, id="compiling"),
         pytest.param(("serve", "--port", "0"), writes("chunks done"), True, signal.SIGINT, id="serving"),
+        pytest.param(("serve", "--port", "0"), writes("chunks done"), True, signal.SIGHUP, id="hung up"),
     ],
 )
 def test_a_signal_ends_everything(

@@ -1,5 +1,6 @@
 """A budget is kept, and used: levels computed by a runner whose speed is not what its estimates say."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from studies import spec_of
 
+from kernel.params import KERNEL_VERSION
 from service import local
 from service.budget import Answer, within
 from worker.spec.errors import SpecInvalid
@@ -27,6 +29,7 @@ class Simulated:
 
     def __init__(self, cell: float, start: float, guess: float) -> None:
         self.now, self.cell, self.start, self.guess = 0.0, cell, start, guess
+        self.wait = 0.0  # seconds before the first job, of other work
         self.done: list[SweepSpec] = []
 
     def clock(self) -> float:
@@ -41,7 +44,8 @@ class Simulated:
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         if spec in self.done:
             return True
-        takes = self.start + cells(spec, (1, 1, 1)) * self.cell
+        takes = self.wait + self.start + cells(spec, (1, 1, 1)) * self.cell
+        self.wait = 0.0
         self.now += min(takes, seconds)
         return takes <= seconds
 
@@ -73,6 +77,12 @@ def test_a_budget_is_used():
         used.append(1.0 if whole else (began + sum(level.seconds for level in levels)) / budget)
     assert np.mean(np.array(used) > 0.6) > 0.95
     assert min(used) > 0.5
+
+
+def test_a_budget_whose_first_level_waited_for_other_work_is_used():
+    runner = Simulated(cell=1e-3, start=0.1, guess=1.0)
+    runner.wait = 10.0
+    assert within(SPEC, 30.0, runner, clock=runner.clock).levels[-1].cells > 5_000
 
 
 def test_a_budget_begins_with_what_is_done():
@@ -128,3 +138,11 @@ def test_a_budget_leaves_what_another_study_has_computed_and_takes_up_its_own_le
     with local.computed(level(SweepSpec(**spec), (1, 1, 4)), local.partial_of(other), progress=False):
         pass
     assert local.run(spec, other, budget=60.0, progress=False).sizes["gamma"] == 60
+
+
+def test_the_same_run_within_a_budget_goes_on_from_the_finest_level_done(tmp_path: Path):
+    store, begun, done = tmp_path / "sweep.zarr", [], level(SPEC, (1, 24, Fraction(96, 7)))
+    with local.computed(done, local.partial_of(store), progress=False):
+        pass  # as an interrupted run leaves it
+    local.run(SPEC, store, budget=4.0, progress=lambda job: begun.append(job.id))
+    assert begun[0] == done.job_id(KERNEL_VERSION)

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from worker.sweep import AXES, SweepSpec
-from worker.sweep.levels import WHOLE, cells, coarsest, finest, level
+from worker.sweep.levels import WHOLE, cells, coarsest, finest, level, steps_of
 
 LENGTHS = st.integers(1, 400)
 
@@ -23,6 +23,8 @@ def test_levels_contain_each_other_up_to_the_sweep_itself(gamma, omega, xi, fact
             assert {spec.axis_values(axis)[0], spec.axis_values(axis)[-1]} <= along
             assert along <= set(spec.axis_values(axis).tolist())
             assert last is None or set(last.axis_values(axis).tolist()) <= along
+        assert level(spec, steps_of(spec, part)) == part
         last, steps = part, finest(spec, factor * cells(spec, steps), steps) or steps
     assert (finest(spec, 1e9, steps) or steps) == WHOLE
     assert level(spec, WHOLE) == spec
+    assert steps_of(spec, SweepSpec(gamma=[1.0, 1.5], omega=1.0, xi=1.0)) is None
