@@ -10,7 +10,7 @@ from studies import spec_of
 from kernel.params import Outcome
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.sweep import SweepSpec
-from worker.sweep.plan import FOLLOWED_SHARE
+from worker.sweep.plan import CHUNK_SECONDS, FOLLOWED_SHARE
 
 
 @pytest.fixture
@@ -30,7 +30,8 @@ def test_a_contact_model_is_its_module_and_a_row(tmp_path: Path, glued: None):
     with computing(tmp_path) as client:
         cost = client.post("/v1/jobs", params={"validate_only": "true"}, json=GLUED).json()
         followed = 2 * GLUED["observe"]  # plate periods of a cell without a mode
-        assert cost["core_seconds"] == pytest.approx(10 * (5 + FOLLOWED_SHARE * followed) * 0.01e-6)
+        seconds = 10 * (5 + FOLLOWED_SHARE * followed) * 0.01e-6
+        assert cost["core_seconds"] == pytest.approx(seconds + CHUNK_SECONDS, rel=1e-9)
         here = finished(client, GLUED)
         diagram = read(client, f"{here}/diagram", along="gamma", omega=0.5, xi=0.1)
         assert diagram.outcome.values.tolist() == [Outcome.AT_REST] * 5
