@@ -38,7 +38,7 @@ async function showAddress() {
   const loadPage = (name !== "job" || id ? PAGES[name] : null) ?? (async () => NotFound);
   const Page = await loadPage().catch(() => connection.dispatchEvent(new Event("unreachable")) && null);
   if (!Page || page || wanted !== shown) return; // the service does not answer; the page was built, or left, meanwhile
-  page = new Page(root, currentAddress(), leaving.signal);
+  page = new Page(root, { ...currentAddress(), path: address.path }, leaving.signal);
   for (const anchor of document.querySelectorAll("body > header nav a")) {
     anchor.ariaCurrent = anchor.hash === `#/${address.path.join("/")}` ? "page" : null;
   }
