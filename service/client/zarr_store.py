@@ -3,7 +3,7 @@
 import asyncio
 import json
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator
 from http import HTTPStatus
 from itertools import islice
 from math import prod
@@ -14,7 +14,6 @@ import numpy as np
 import xarray
 from zarr.abc.store import ByteRequest, OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
-from zarr.storage import MemoryStore, WrapperStore
 
 from service.client import dataset  # noqa: F401 - registers `dataset.bounce`
 from service.client.errors import NotFound, Refused, StoreUnreachable, UnexpectedAnswer
@@ -67,15 +66,18 @@ def store_url(transport: Transport, path: str, job_id: str) -> str:
     return os.fsdecode(unquote_to_bytes(address))
 
 
-class HTTPStore(WrapperStore[Store]):
+class HTTPStore(Store):
     """A read-only zarr store: a key is a path below one address of the service.
 
-    Pickled, it contains the service's address and the token.
+    It wraps no other store: a later zarr would ask that one for parts of shards, and take fill values for
+    what it lacks. Pickled, it contains the service's address and the token.
     """
+
+    supports_writes = supports_deletes = supports_listing = False
 
     def __init__(self, transport: Transport, path: str) -> None:
         self._transport, self._path = transport, path
-        super().__init__(MemoryStore(read_only=True))  # for what zarr's interface asks beside
+        super().__init__(read_only=True)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return HTTPStore, (self._transport, self._path)
@@ -105,10 +107,19 @@ class HTTPStore(WrapperStore[Store]):
         """Whether the key has a value."""
         return await asyncio.to_thread(self._fetch, key) is not None
 
-    @property
-    def supports_listing(self) -> bool:
-        """The service lists no keys."""
-        return False
+    async def set(self, key: str, value: Buffer) -> None:
+        """Refuse it."""
+        self._check_writable()
+
+    async def delete(self, key: str) -> None:
+        """Refuse it."""
+        self._check_writable()
+
+    def _keys(self, prefix: str = "") -> AsyncIterator[str]:
+        """Refuse it."""
+        raise NotImplementedError("the service lists no keys")
+
+    list = list_prefix = list_dir = _keys
 
     def _fetch(self, key: str, byte_range: ByteRequest | None = None) -> bytes | None:
         headers, part = _range(byte_range)

@@ -90,12 +90,13 @@ def _dtype(dtype: np.dtype[Any]) -> str:
 
 
 def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
-    """NetCDF 4. Booleans, which NetCDF lacks, become integers; integers have no fill value."""
+    """NetCDF 4. Booleans, which NetCDF lacks, become integers; only data of floats have a fill value."""
     written = dataset.copy()
     written.attrs = {name: int(x) if isinstance(x, bool) else x for name, x in dataset.attrs.items()}
     for variable in written.variables.values():
         variable.attrs = with_flags(variable.attrs, variable.dtype)
-    encoding = {name: {"_FillValue": None} for name, v in written.variables.items() if v.dtype.kind != "f"}
+    filled = {name for name, v in written.data_vars.items() if v.dtype.kind == "f"}
+    encoding = {name: {"_FillValue": None} for name in written.variables.keys() - filled}
     return bytes(written.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 

@@ -48,6 +48,7 @@ def test_a_new_result_is_read_in_every_format(job: Job):
     xarray.testing.assert_identical(from_json(job.result_file(TOY, "json")), found)
     with xarray.open_dataset(io.BytesIO(job.result_file(TOY, "nc")), engine="h5netcdf") as netcdf:
         xarray.testing.assert_equal(netcdf.load(), found)
+        assert "_FillValue" not in netcdf.gamma.encoding  # CF: not of a coordinate
     frame = found["count"].to_dataframe().reset_index()
     columns = ["gamma", "kind", "count"]
     csv = pandas.read_csv(io.BytesIO(job.result_file(TOY, "csv")))
