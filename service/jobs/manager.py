@@ -138,6 +138,11 @@ class JobManager:
         job = self._ledger.find(spec.job_id(KERNEL_VERSION))
         return job is not None and job.state is JobState.DONE
 
+    def took(self, spec: Any) -> float:
+        """The time that a study's job took, as on the present workers; 0 if that is not known."""
+        job = self._ledger.find(spec.job_id(KERNEL_VERSION))
+        return job.core_seconds / max(min(self.workers(), job.chunks_total), 1) if job else 0.0
+
     def cost(self, spec: Any) -> Cost:
         """The estimated cost of a study on the present workers. Raises SpecTooLarge as `submit`."""
         cost = study_of(spec).estimate(spec, self.check(spec)).at(self.pace(spec))
