@@ -65,8 +65,9 @@ def pace(spec: Any) -> float | None:
         took, computed, samples = took + more, computed + cells, samples + 1
     plan = study_of(spec).plan(spec)
     cost = study_of(spec).estimate(spec, plan)
-    storing = CHUNK_SECONDS * len(plan) + BYTE_SECONDS * cost.bytes
-    return took / computed / seconds + storing / cost.core_seconds
+    paced = took / computed / seconds
+    storing = (1.0 - paced) * CHUNK_SECONDS * len(plan) + BYTE_SECONDS * cost.bytes
+    return paced + storing / cost.core_seconds
 
 
 def _timed(runs: Iterator[LineRun]) -> tuple[float, int]:
