@@ -49,6 +49,9 @@ class Runner(Protocol):
     def is_done(self, spec: SweepSpec) -> bool:
         """Whether a sweep is complete."""
 
+    def took(self, spec: SweepSpec) -> float:
+        """The time that a complete sweep took; 0 if that is not known."""
+
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         """Compute a sweep for at most `seconds`; whether it is complete then."""
 
@@ -63,8 +66,7 @@ class Level:
     spec: SweepSpec
     steps: Steps
     cells: int
-    seconds: float  # that the level took
-    measured: bool = True  # the level was not complete before
+    seconds: float  # that the level took, also where it was complete before; 0 if that is not known
 
 
 @dataclass
@@ -114,16 +116,16 @@ def within(
     steps: Steps | None = complete or (WHOLE if AT_ONCE * budget * by_table >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
-        measured = not runner.is_done(part)
+        earlier = runner.took(part) if runner.is_done(part) else None
         show(f"{cells(spec, steps):,} cells{_thinning(steps)}", max(left, 0.0))
         now = clock()
         # the first level may take all of the time: without it there is no answer
         if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
-        took = clock() - now
-        answer.levels.append(Level(part, steps, cells(spec, steps), took, measured))
+        took = clock() - now if earlier is None else earlier
+        answer.levels.append(Level(part, steps, cells(spec, steps), took))
         left = (budget - (clock() - began) - reserved) / MARGIN
-        timed = [done for done in answer.levels if done.measured]
+        timed = [done for done in answer.levels if done.seconds > 0.0]
         if steps == WHOLE:
             break
         steps = _finer(spec, timed, steps, left, by_table)

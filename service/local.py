@@ -323,7 +323,8 @@ class _Runner:
         self, manager: JobManager, ledger: Ledger, executor: Inline, progress: bool | ProgressCallback
     ) -> None:
         self._manager, self._ledger, self._executor = manager, ledger, executor
-        self.seconds, self.is_done, self._progress = manager.seconds, manager.is_done, progress
+        self.seconds, self.is_done, self.took = manager.seconds, manager.is_done, manager.took
+        self._progress = progress
         self._last: Computed | None = None
         self._took = 0.0  # seconds, of the last level
 

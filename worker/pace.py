@@ -18,7 +18,8 @@ from worker.basins.plan import start_seconds
 from worker.basins.starts import starts_of
 from worker.maps import plan as maps
 from worker.maps.refinement import Tile, refine_of
-from worker.sweep.plan import cell_seconds, cells_at_once
+from worker.studies import study_of
+from worker.sweep.plan import CHUNK_SECONDS, cell_seconds, cells_at_once
 from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.specification import SweepSpec, is_open
 from worker.sweep.task import line_run, to_end
@@ -29,6 +30,8 @@ SECONDS: Final = 0.1
 FEWEST, MOST = 16, 512
 #: Neighbouring values of a ramp's axis in a sample. The first one is far from the state before.
 NEIGHBOURS: Final = 32
+#: Core-seconds that storing a byte takes, before compression: more than computing it where cells rest.
+BYTE_SECONDS: Final = 1.2e-9
 #: Blocks of a map that are a sample, and the most samples.
 BLOCKS, SAMPLES = 16, 12
 #: Cells of a grid whose starts are a sample.
@@ -55,8 +58,16 @@ def pace(spec: Any) -> float | None:
     compile_for(spec)  # loads the kernels
     if spec.fills_in:
         return _of_map(spec, random)
-    took, computed = _timed(sample(spec, number, random))
-    return took / computed / seconds
+    # few cells may take most of the time: cheap samples are repeated
+    took, computed, samples = 0.0, 0, 0
+    while took < SECONDS and samples < SAMPLES:
+        more, cells = _timed(sample(spec, number, random))
+        took, computed, samples = took + more, computed + cells, samples + 1
+    plan = study_of(spec).plan(spec)
+    cost = study_of(spec).estimate(spec, plan)
+    paced = took / computed / seconds
+    storing = (1.0 - paced) * CHUNK_SECONDS * len(plan) + BYTE_SECONDS * cost.bytes
+    return paced + storing / cost.core_seconds
 
 
 def _timed(runs: Iterator[LineRun]) -> tuple[float, int]:
@@ -79,7 +90,8 @@ def _of_map(spec: Any, random: np.random.Generator) -> float:
         shares.append(blocks.share)
     plan = maps.make_plan(spec)
     seconds = took / computed * math.fsum(shares) / len(shares) * math.prod(spec.shape)
-    return float((seconds + maps.TILE_SECONDS * len(plan)) / maps.estimate(spec, plan).core_seconds)
+    seconds += maps.TILE_SECONDS[refine_of(spec).by] * len(plan)
+    return float(seconds / maps.estimate(spec, plan).core_seconds)
 
 
 def _of_cells(spec: Any, number: int, random: np.random.Generator) -> Iterator[LineRun]:
@@ -104,7 +116,8 @@ class _Blocks:
     def __init__(self, spec: Any, random: np.random.Generator) -> None:
         self._spec, refine = spec, refine_of(spec)
         _, xis, *grid = spec.shape
-        self._shape = tuple(min(refine.coarsest + 1, n) for n in grid)
+        _, *tile = maps.tile_shape(spec, refine.coarsest)  # smaller than a block of many flights
+        self._shape = tuple(min(refine.coarsest + 1, *sizes) for sizes in zip(grid, tile, strict=True))
         self._first = [random.integers(0, a - b + 1, BLOCKS) for a, b in zip(grid, self._shape, strict=True)]
         self._xi = random.integers(0, xis, BLOCKS)
         self._tiles = [Tile(self._shape, refine) for _ in range(BLOCKS)]

@@ -94,7 +94,8 @@ class Budget:
         self, budgets: Budgets, spec: SweepSpec, seconds: float, owner: str | None, known: Steps | None
     ) -> None:
         self._budgets, self.spec, self._owner, self.id = budgets, spec, owner, uuid4().hex
-        self.seconds, self.is_done = budgets.manager.seconds, budgets.manager.is_done
+        manager = budgets.manager
+        self.seconds, self.is_done, self.took = manager.seconds, manager.is_done, manager.took
         self._seconds, self.ends = seconds, time.monotonic() + seconds
         self.steps = known  # of the finest level that is done
         self.first: Future[Submission] = Future()

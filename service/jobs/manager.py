@@ -3,6 +3,7 @@
 import hashlib
 import json
 import logging
+import threading
 import time
 from concurrent.futures import wait
 from contextlib import suppress
@@ -31,8 +32,8 @@ log = logging.getLogger(__name__)
 STOP_SECONDS: Final = 4.0
 #: Seconds to wait for a worker that tells the pace of a study: the others compute a slice each.
 PACE_SECONDS: Final = 2.0
-#: Paces that are kept.
-PACES: Final = 1000
+#: Paces that are kept, and requests that wait for one at a time: others keep threads.
+PACES, WAITING = 1000, 16
 
 
 class Submission(NamedTuple):
@@ -49,6 +50,7 @@ class JobManager:
         self._ledger, self._executor, self._settings = ledger, executor, settings
         self.preparer = JobPreparer(settings)
         self._paces: dict[str, float] = {}  # by job id
+        self._waiting = threading.BoundedSemaphore(WAITING)
         self.supervisor = Supervisor(ledger, executor, settings, self.preparer)
 
     def compiling(self, job: JobRecord) -> Compilation | None:
@@ -136,26 +138,36 @@ class JobManager:
         job = self._ledger.find(spec.job_id(KERNEL_VERSION))
         return job is not None and job.state is JobState.DONE
 
+    def took(self, spec: Any) -> float:
+        """The time that a study's job took, as on the present workers; 0 if that is not known."""
+        job = self._ledger.find(spec.job_id(KERNEL_VERSION))
+        return job.core_seconds / max(min(self.workers(), job.chunks_total), 1) if job else 0.0
+
     def cost(self, spec: Any) -> Cost:
         """The estimated cost of a study on the present workers. Raises SpecTooLarge as `submit`."""
         cost = study_of(spec).estimate(spec, self.check(spec)).at(self.pace(spec))
         return cost.model_copy(update={"workers": self.workers()})
 
     def pace(self, spec: Any) -> float | None:
-        """The pace of a study (`worker.pace`) on a worker; None if none tells it within PACE_SECONDS.
+        """The pace of a study (`worker.pace`) on a worker.
 
-        It is kept, so that a repeated request for a plan is the same.
+        None if none tells it within PACE_SECONDS, or if WAITING others wait. It is kept, so that a repeated
+        request for a plan is the same.
         """
         key = spec.job_id(KERNEL_VERSION)
         if key in self._paces or self.workers() == 0:
             return self._paces.get(key)
+        if not self._waiting.acquire(blocking=False):
+            return None
         try:
             told = self._executor.call(pace_of, spec)
+            if not wait([told], PACE_SECONDS).done:
+                told.cancel()
+                return None
         except ExecutorError:
             return None
-        if not wait([told], PACE_SECONDS).done:
-            told.cancel()
-            return None
+        finally:
+            self._waiting.release()
         pace = None if told.cancelled() or told.exception() else told.result()
         if pace is not None:
             if len(self._paces) >= PACES:

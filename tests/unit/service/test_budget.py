@@ -41,6 +41,9 @@ class Simulated:
     def is_done(self, spec: SweepSpec) -> bool:
         return spec in self.done
 
+    def took(self, spec: SweepSpec) -> float:
+        return cells(spec, (1, 1, 1)) * self.cell
+
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         if spec in self.done:
             return True
@@ -93,6 +96,15 @@ def test_a_budget_begins_with_what_is_done():
     assert again.levels[0].spec == first.levels[-1].spec
     runner.done.append(SPEC)
     assert [each.steps for each in within(SPEC, 1.0, runner, clock=runner.clock).levels] == [WHOLE]
+
+
+@pytest.mark.parametrize("guess", [0.3, 1.0, 3.0])
+def test_a_longer_budget_that_begins_with_what_is_done_is_used(guess):
+    """The done level tells the speed: the table may be too wrong to begin a finer one."""
+    first = within(SPEC, 20.0, runner := Simulated(1e-3, 0.1, guess), clock=runner.clock).levels[-1]
+    runner = Simulated(1e-3, 0.1, guess)
+    runner.done = [first.spec]
+    assert within(SPEC, 60.0, runner, clock=runner.clock, known=first.steps).levels[-1].cells > 25_000
 
 
 def test_a_budget_too_short_for_any_level_says_what_may_work():

@@ -9,8 +9,9 @@ from studies import spec_of
 from kernel.params import LANES
 from worker import pace as module
 from worker import store
-from worker.pace import MOST, NEIGHBOURS, pace
+from worker.pace import BYTE_SECONDS, MOST, NEIGHBOURS, pace
 from worker.studies import parse, run_task, study_of
+from worker.sweep.plan import CHUNK_SECONDS, cell_seconds
 from worker.sweep.task import to_end
 
 GRID = spec_of((0.5, 6.0, 400), (0.3, 1.5, 60), 0.1, settle=20, observe=20)
@@ -33,7 +34,7 @@ def study(**fields: Any) -> Any:
 def test_a_ramp_is_sampled_by_neighbours_on_as_many_lines_as_are_side_by_side(direction, sampled):
     spec = study(protocol={"kind": "ramp", "axis": "gamma", "direction": direction})
     assert pace(spec) > 0.0
-    [run] = sampled
+    run = sampled[0]
     lines = run._gamma.reshape(LANES, -1, min(NEIGHBOURS, MOST // LANES))
     step = np.diff(spec.axis_values("gamma"))[0]
     np.testing.assert_allclose(np.diff(lines), step if direction == "up" else -step)
@@ -43,12 +44,36 @@ def test_a_ramp_is_sampled_by_neighbours_on_as_many_lines_as_are_side_by_side(di
 
 
 def test_a_sample_has_cells_of_the_whole_sweep_and_starts_of_the_plane(sampled):
-    assert pace(study()) > 0.0
     assert pace(study(gamma=2.0, omega=0.5, protocol=DROPS)) > 0.0
-    cells, *starts = sampled
+    starts = sampled.copy()
+    assert pace(study()) > 0.0
+    cells = sampled[-1]
     assert len(cells.line.outcome) == MOST
     assert np.ptp(cells._gamma) > 5.0
     assert len({tuple(state) for run in starts for state in run._states}) > MOST / 4
+
+
+def test_samples_are_repeated_until_they_take_long_as_few_cells_may_take_most_of_the_time(monkeypatch):
+    spec, took = study(keep=1), iter([0.001, 0.05, 0.06, 9.0])
+    monkeypatch.setattr(module, "_timed", lambda runs: (next(took), 0.037 / cell_seconds(spec)))
+    assert pace(spec) == pytest.approx(1.0, rel=0.05)
+
+
+def test_cells_that_take_next_to_nothing_are_stored_all_the_same(monkeypatch):
+    monkeypatch.setattr(module, "_timed", lambda runs: (1e-9, 100))
+    spec = study(keep=64)
+    plan = study_of(spec).plan(spec)
+    cost = study_of(spec).estimate(spec, plan)
+    storing = CHUNK_SECONDS * len(plan) + BYTE_SECONDS * cost.bytes
+    assert cost.at(pace(spec)).core_seconds == pytest.approx(storing, rel=0.01)
+
+
+def test_blocks_are_no_larger_than_tiles_of_many_flights():
+    spec = study(gamma=GRID["gamma"] | {"num": 300}, omega=GRID["omega"] | {"num": 300},
+                 keep=1000, refine={"by": "mode", "coarsest": 128})  # fmt: skip
+    blocks = module._Blocks(spec, np.random.default_rng(1))
+    assert blocks._shape == study_of(spec).plan(spec).chunk_shape[1:]
+    assert max(blocks._shape) < 40
 
 
 def test_there_is_no_sample_of_slow_cells_of_other_studies_and_before_kernels_are_compiled(monkeypatch):

@@ -6,7 +6,7 @@ The executors compute with the real task into real stores; scripts raise the err
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from studies import spec_of
 
 from kernel.params import KERNEL_VERSION, Outcome
 from service.errors import IllegalTransition, KeyReused, QueueFull, UnknownJob
+from service.jobs import manager
 from service.jobs.budgets import Budget, Budgets
 from service.jobs.manager import JobManager
 from service.ledger.ledger import Ledger
@@ -359,6 +360,20 @@ def test_the_table_of_costs_tells_the_time_left_of_few_chunks(
         job = service.until(service.submit(spec), JobState.RUNNING)
         assert job.chunks_total == lines
         assert job.seconds_left == (in_a_row and pytest.approx(in_a_row * line, abs=5.0))
+
+
+def test_few_requests_wait_for_a_pace_and_others_get_the_table_at_once(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(manager, "WAITING", 2)
+    with unstarted(tmp_path) as service, ThreadPoolExecutor(2) as threads:
+        asked: list[Future[Any]] = []
+        service.manager._executor.call = lambda *call: asked.append(Future()) or asked[-1]
+        waiting = [threads.submit(service.manager.cost, sweep(omega=omega)) for omega in (0.6, 0.7)]
+        wait_for(lambda: len(asked) == 2)
+        assert service.manager.cost(sweep()).basis == "table"
+        assert len(asked) == 2
+        for told in asked:
+            told.set_result(1.0)
+        assert {each.result().basis for each in waiting} == {"measured"}
 
 
 def test_a_job_is_resumed_by_whoever_asks_and_only_if_it_ended_undone(tmp_path: Path):
