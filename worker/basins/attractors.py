@@ -398,12 +398,13 @@ def _ends_of_flights(
     line: Line, micro_flight: float, which: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[Any]]:
     """Times and phases of the last START_FLIGHTS flights of some or all runs, NaN beyond."""
-    rows: dict[str, list[_Floats]] = {"time": [], "phase": []}
-    for i in range(len(line.outcome)) if which is None else np.flatnonzero(which).tolist():
-        for values, flights in zip(rows.values(), counted_flights(line, i, micro_flight), strict=True):
-            missing = max(START_FLIGHTS - len(flights), 0)
-            values.append(np.pad(flights[-START_FLIGHTS:], (0, missing), constant_values=np.nan))
-    return {name: np.array(values, np.float32).reshape(-1, START_FLIGHTS) for name, values in rows.items()}
+    runs = np.arange(len(line.outcome)) if which is None else np.flatnonzero(which)
+    ends = np.full((2, len(runs), START_FLIGHTS), np.nan, np.float32)
+    for row, i in enumerate(runs.tolist()):
+        for values, flights in zip(ends, counted_flights(line, i, micro_flight), strict=True):
+            last = flights[-START_FLIGHTS:]
+            values[row, : len(last)] = last
+    return {"time": ends[0], "phase": ends[1]}
 
 
 def _groups_of_cycles(ends: _Ends, which: _Ints) -> list[_Ints]:
