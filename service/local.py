@@ -72,8 +72,9 @@ BEGINNING_SECONDS: Final = 0.3
 #: Seconds that an interrupted run waits for its chunks to stop.
 CANCEL_SECONDS: Final = 0.8
 
-#: The expected time of a run is shown if it is at least this, seconds.
-SAID_SECONDS: Final = 10.0
+#: The expected time of a run is shown if it is at least this, seconds; a sample tells it where the table of
+#: costs says at least SAMPLED_SECONDS.
+SAID_SECONDS, SAMPLED_SECONDS = 10.0, 2.0
 
 #: A compilation is shown after this many seconds; loading compiled kernels takes less on an idle machine.
 MESSAGE_SECONDS: Final = 1.0
@@ -306,11 +307,11 @@ def computed(
             manager.start()
             stack.callback(manager.stop)
             if budget is None:
-                # before the first chunk only a sample tells the time
-                cost = manager.cost(parsed)
-                expected = cost.seconds_on(cost.workers)
-                if progress is True and expected >= SAID_SECONDS:
-                    display_line(f"expected from a sample of the study: {duration(expected)}")
+                if progress is True and runner.seconds(parsed) >= SAMPLED_SECONDS:
+                    cost = manager.cost(parsed)
+                    expected = cost.seconds_on(cost.workers)
+                    if expected >= SAID_SECONDS:
+                        display_line(f"expected: {duration(expected)}")
                 yield runner.done(parsed)
             else:
                 yield runner.within(parsed, budget, began)
