@@ -97,3 +97,11 @@ def test_blocks_of_a_map_have_the_share_of_its_cells_that_is_computed(tmp_path):
             to_end(run)
         shares.append(blocks.share)
     assert np.mean(shares) == pytest.approx(computed / 129**2, rel=0.1)
+
+
+def test_a_sample_of_a_map_tells_its_whole_cost():
+    spec = study(refine={"by": "mode"})
+    by_table = study_of(spec).estimate(spec, study_of(spec).plan(spec))
+    cost = by_table.at(0.5)
+    assert cost.core_seconds == cost.least_core_seconds == 0.5 * by_table.core_seconds
+    assert (cost.basis, by_table.at(None)) == ("measured", by_table)
