@@ -7,23 +7,27 @@ or are aperiodic.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kernel.line import LineRun
-from kernel.params import Cell
-from worker.basins.plan import start_seconds
-from worker.basins.starts import starts_of
+from kernel.params import Cell, Line
+from worker.basins.attractors import Request, find
+from worker.basins.plan import estimate_basins, plan_basins, start_seconds
+from worker.basins.specification import BasinSpec
+from worker.basins.starts import run_of_starts, starts_of
 from worker.maps import plan as maps
 from worker.maps.refinement import Tile, refine_of
 from worker.studies import study_of
+from worker.sweep import AXES
 from worker.sweep.plan import CHUNK_SECONDS, cell_seconds, cells_at_once
 from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.specification import SweepSpec, is_open
 from worker.sweep.task import line_run, to_end
-from worker.work import compile_for, is_compiled, plate_of
+from worker.work import compile_for, is_compiled
 
 #: Core-seconds of a sample by the table, and its most cells, or starts. There is none of fewer than FEWEST.
 SECONDS: Final = 0.1
@@ -36,6 +40,8 @@ BYTE_SECONDS: Final = 1.2e-9
 BLOCKS, SAMPLES = 16, 12
 #: Cells of a grid whose starts are a sample.
 CELLS: Final = 4
+#: Most plate periods that representatives of a sampled basin settle.
+SHORT: Final = 200
 
 
 def pace(spec: Any) -> float | None:
@@ -58,6 +64,8 @@ def pace(spec: Any) -> float | None:
     compile_for(spec)  # loads the kernels
     if spec.fills_in:
         return _of_map(spec, random)
+    if isinstance(spec, BasinSpec):
+        return _of_basins(spec, number, random)
     # few cells may take most of the time: cheap samples are repeated
     took, computed, samples = 0.0, 0, 0
     while took < SECONDS and samples < SAMPLES:
@@ -154,17 +162,50 @@ class _Blocks:
 
 def _of_starts(spec: Any, number: int, random: np.random.Generator) -> Iterator[LineRun]:
     """Runs of `number` starts drawn from a few cells of a grid."""
-    for _ in range(CELLS):
-        cell = Cell(*(float(random.choice(spec.axis_values(name))) for name in Cell._fields))
+    for cell in _drawn_cells(spec, CELLS, random):
         states = random.choice(starts_of(spec, *cell), max(number // CELLS, 1))
         cells = [np.full(len(states), value) for value in cell]
-        yield LineRun(
-            *cells,
-            plate=plate_of(spec.model, *cells),
-            carry=False,
-            settle=spec.settle,
-            observe=spec.observe,
-            keep=spec.keep,
-            micro_flight=spec.micro_flight,
-            states=states,
-        )
+        window = {"settle": spec.settle, "observe": spec.observe, "keep": spec.keep}
+        yield run_of_starts(spec, cells, states=states, **window)
+
+
+def _drawn_cells(spec: Any, number: int, random: np.random.Generator) -> list[Cell]:
+    """At most this many cells of a grid, each once."""
+    whole = math.prod(spec.shape)
+    indices = np.unravel_index(random.choice(whole, min(number, whole), replace=False), spec.shape)
+    values = {name: spec.axis_values(name)[index] for name, index in zip(AXES, indices, strict=True)}
+    return [Cell(*cell) for cell in zip(*(values[name].tolist() for name in Cell._fields), strict=True)]
+
+
+def _of_basins(spec: BasinSpec, number: int, random: np.random.Generator) -> float:
+    """The pace of basins, by searches among some starts of two cells or more.
+
+    Their representatives are as many as of all starts, and settle for a part of the time.
+    """
+    every, others, sampled, began = 0.0, 0.0, 0, time.thread_time()
+    for cell in _drawn_cells(spec, SAMPLES, random):
+        if sampled > 1 and time.thread_time() - began > CELLS * SECONDS:
+            break
+        states = random.choice(starts_of(spec, *cell), max(number // CELLS, FEWEST))
+        before, of_starts, left_out = time.thread_time(), 0.0, 0.0
+
+        def answer(request: Request, reduce: Callable[[Line], dict[str, NDArray[Any]]]) -> Any:
+            nonlocal of_starts, left_out
+            settle = request.settle if request.every else min(request.settle, SHORT)
+            window = request._replace(settle=settle).window()
+            before = time.thread_time()
+            cells = [np.full(len(request.states), value) for value in cell]  # noqa: B023 - called at once
+            answer = reduce(to_end(run_of_starts(spec, cells, **window)))
+            took = time.thread_time() - before
+            of_starts += took if request.every else 0.0
+            left_out += took * (request.settle - settle) / (settle + request.observe)
+            return answer
+
+        find(states, spec, answer)
+        every += of_starts / len(states)
+        others += time.thread_time() - before - of_starts + left_out
+        sampled += 1
+    plan = plan_basins(spec)
+    starts = spec.protocol.rows * spec.protocol.columns
+    seconds = (every * starts + others) / sampled * plan.cells + CHUNK_SECONDS * len(plan)
+    return seconds / estimate_basins(spec, plan).core_seconds

@@ -9,6 +9,7 @@ from datetime import datetime
 from functools import wraps
 from inspect import cleandoc
 from itertools import chain
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -51,6 +52,12 @@ class Number(click.FloatRange):
     """A number within bounds, called so in messages."""
 
     name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number: float = super().convert(value, param, ctx)
+        if not isfinite(number):  # NaN is within any bounds
+            self.fail(f"must be finite, not {value}", param, ctx)
+        return number
 
 
 class Day(click.ParamType[str]):

@@ -81,6 +81,13 @@ class Request(NamedTuple):
     keep: int
     exponents: int = 0
     certify: bool = False
+    every: bool = False  # whether of every start that is undecided, not of representatives
+
+    def window(self) -> dict[str, Any]:
+        """The arguments of `kernel.line.LineRun`."""
+        window = self._asdict()
+        del window["every"]
+        return window
 
 
 def sizes_of_runs(model: Contact) -> tuple[int, int]:
@@ -192,7 +199,7 @@ class _Search:
         """Run starts on from `states` and record their ends."""
         for first in range(0, len(which), self._block):
             part = slice(first, first + self._block)
-            request = Request(states[part], settle, observe, self._keep)
+            request = Request(states[part], settle, observe, self._keep, every=True)
             answer = self._run(request, partial(_reduced, micro_flight=self._spec.micro_flight))
             ends, rows = self._ends, which[part]
             for name in ("outcome", "bounces", "periods", "state", "cycle"):
@@ -330,7 +337,7 @@ class _Search:
         parts = []
         for first in range(0, len(which), self._block):
             states = self._ends.state[which[first : first + self._block]]
-            request = Request(states, 0, self._spec.observe, self._keep)
+            request = Request(states, 0, self._spec.observe, self._keep, every=True)
             reduce = partial(_ends_of_flights, micro_flight=self._spec.micro_flight)
             parts.append(self._run(request, reduce))
         time, phase = (np.concatenate([part[name] for part in parts]) for name in ("time", "phase"))

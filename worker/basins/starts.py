@@ -58,6 +58,15 @@ def contact_states(
     return states
 
 
+def run_of_starts(spec: GridSpec, cells: Sequence[_Floats], **window: Any) -> LineRun:
+    """A run of n starts of `cells`, gamma, omega, xi (n,), at its beginning.
+
+    window: further arguments of `LineRun`, such as `states` (n, 6).
+    """
+    plate = plate_of(spec.model, *cells)
+    return LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, **window)
+
+
 class Steps(Work):
     """The record of a chunk, its finished steps, and the answers of the step under way."""
 
@@ -71,13 +80,10 @@ class Steps(Work):
     ) -> _Arrays:
         """The arrays that `reduce` returns for the step's next run, computed now or in an earlier slice.
 
-        cells: gamma, omega, xi (n,) of n starts. window: further arguments of `LineRun`, such as `states`
-        (n, 6). Raises ChunkCancelled, ChunkPaused.
+        cells, window: as for `run_of_starts`. Raises ChunkCancelled, ChunkPaused.
         """
         if self._answered == len(self._answers):
-            plate = plate_of(spec.model, *cells)
-            run = LineRun(*cells, plate=plate, carry=False, micro_flight=spec.micro_flight, **window)
-            self._answers.append(reduce(self.compute(run)))
+            self._answers.append(reduce(self.compute(run_of_starts(spec, cells, **window))))
             self.pause_if_due({})
         self._answered += 1
         return self._answers[self._answered - 1]

@@ -44,7 +44,7 @@ def _answer(
 ) -> _Arrays:
     """The answer to a request of a search, computed now or in an earlier slice."""
     cells = [np.full(len(request.states), value) for value in cell]
-    return work.answer(spec, cells, reduce, **request._asdict())
+    return work.answer(spec, cells, reduce, **request.window())
 
 
 def _fill_in(spec: BasinSpec, basins: Found, record: _Arrays, index: tuple[int, ...]) -> None:

@@ -9,12 +9,15 @@ from studies import spec_of
 from kernel.params import LANES
 from worker import pace as module
 from worker import store
-from worker.pace import BYTE_SECONDS, MOST, NEIGHBOURS, pace
+from worker.basins.plan import REPRESENTATIVES
+from worker.pace import BYTE_SECONDS, MOST, NEIGHBOURS, SHORT, pace
 from worker.studies import parse, run_task, study_of
 from worker.sweep.plan import CHUNK_SECONDS, cell_seconds
 from worker.sweep.task import to_end
+from worker.work import compile_for
 
 GRID = spec_of((0.5, 6.0, 400), (0.3, 1.5, 60), 0.1, settle=20, observe=20)
+RAMP = {"kind": "ramp", "axis": "gamma", "direction": "up"}
 DROPS = {"kind": "basin", "rows": 40, "columns": 40}
 
 
@@ -30,9 +33,16 @@ def study(**fields: Any) -> Any:
     return parse(GRID | {"model": {"kind": "rigid"}} | fields)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """There is no sample before."""
+    compile_for(study())
+    compile_for(study(protocol=RAMP))
+
+
 @pytest.mark.parametrize("direction", ["up", "down"])
 def test_a_ramp_is_sampled_by_neighbours_on_as_many_lines_as_are_side_by_side(direction, sampled):
-    spec = study(protocol={"kind": "ramp", "axis": "gamma", "direction": direction})
+    spec = study(protocol=RAMP | {"direction": direction})
     assert pace(spec) > 0.0
     run = sampled[0]
     lines = run._gamma.reshape(LANES, -1, min(NEIGHBOURS, MOST // LANES))
@@ -51,6 +61,14 @@ def test_a_sample_has_cells_of_the_whole_sweep_and_starts_of_the_plane(sampled):
     assert len(cells.line.outcome) == MOST
     assert np.ptp(cells._gamma) > 5.0
     assert len({tuple(state) for run in starts for state in run._states}) > MOST / 4
+
+
+def test_representatives_of_a_sampled_basin_settle_for_a_part_of_their_time(sampled):
+    spec = study(gamma=[2.0, 3.0], omega=0.5, settle=400, protocol=DROPS)
+    assert pace(spec) > 0.0
+    assert {float(run._gamma[0]) for run in sampled} == {2.0, 3.0}
+    lengths = {run._window.settle: len(run._gamma) for run in reversed(sampled)}
+    assert lengths[SHORT] <= REPRESENTATIVES < lengths[400] < DROPS["rows"] * DROPS["columns"] / 4
 
 
 def test_samples_are_repeated_until_they_take_long_as_few_cells_may_take_most_of_the_time(monkeypatch):

@@ -57,7 +57,7 @@ def search(
         cells = [np.full(len(request.states), x) for x in (gamma, omega, xi)]
         line = LineRun(
             *cells, plate=plate_of(spec.model, *cells), carry=False, micro_flight=spec.micro_flight,
-            **request._asdict(),
+            **request.window(),
         )  # fmt: skip
         line.advance()
         return reduce(line.line)
