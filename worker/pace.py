@@ -30,6 +30,7 @@ from worker.sweep.task import line_run, to_end
 from worker.work import compile_for, is_compiled
 
 #: Core-seconds of a sample by the table, and its most cells, or starts. There is none of fewer than FEWEST.
+#: Samples of a map or basins take up to CELLS times as long.
 SECONDS: Final = 0.1
 FEWEST, MOST = 16, 512
 #: Neighbouring values of a ramp's axis in a sample. The first one is far from the state before.
@@ -89,9 +90,9 @@ def _timed(runs: Iterator[LineRun]) -> tuple[float, int]:
 
 
 def _of_map(spec: Any, random: np.random.Generator) -> float:
-    """The pace of an adaptive map, by samples of BLOCKS blocks until they took SECONDS."""
+    """The pace of an adaptive map, by samples of BLOCKS blocks, whose shares differ much."""
     took, computed, shares = 0.0, 0, list[float]()
-    while took < SECONDS and len(shares) < SAMPLES:
+    while took < CELLS * SECONDS and len(shares) < SAMPLES:
         blocks = _Blocks(spec, random)
         seconds, cells = _timed(blocks.runs())
         took, computed = took + seconds, computed + cells
@@ -126,7 +127,10 @@ class _Blocks:
         _, xis, *grid = spec.shape
         _, *tile = maps.tile_shape(spec, refine.coarsest)  # smaller than a block of many flights
         self._shape = tuple(min(refine.coarsest + 1, *sizes) for sizes in zip(grid, tile, strict=True))
-        self._first = [random.integers(0, a - b + 1, BLOCKS) for a, b in zip(grid, self._shape, strict=True)]
+        self._first = [  # one in each of BLOCKS equal parts, in both directions
+            ((random.permutation(BLOCKS) + random.random(BLOCKS)) / BLOCKS * (a - b + 1)).astype(int)
+            for a, b in zip(grid, self._shape, strict=True)
+        ]
         self._xi = random.integers(0, xis, BLOCKS)
         self._tiles = [Tile(self._shape, refine) for _ in range(BLOCKS)]
         self._found = np.zeros((len(MODE_ARRAYS), BLOCKS, math.prod(self._shape)), np.int64)
