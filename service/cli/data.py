@@ -49,7 +49,8 @@ def restore(file: Path, data: str | None) -> None:
     with opening.open_ledger(settings) as ledger:
         unknown = opening.find_unknown(ledger, settings)
     if unknown:
-        click.echo(f"{len(unknown)} stores are unknown to it: bounce adopt --all takes in those of jobs it lacks")
+        taken = "bounce adopt --all takes in those of jobs that it lacks"
+        click.echo(f"{len(unknown)} stores are unknown to it: {taken}")
 
 
 @click.command()

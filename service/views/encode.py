@@ -94,15 +94,21 @@ def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
     written = dataset.copy()
     written.attrs = {name: int(x) if isinstance(x, bool) else x for name, x in dataset.attrs.items()}
     for variable in written.variables.values():
-        variable.attrs = with_flags(variable.attrs, variable.dtype)
+        variable.attrs = as_cf(variable.attrs, variable.dtype)
     filled = {name for name, v in written.data_vars.items() if v.dtype.kind == "f"}
     encoding = {name: {"_FillValue": None} for name in written.variables.keys() - filled}
     return bytes(written.to_netcdf(engine="h5netcdf", encoding=encoding))
 
 
-def with_flags(attrs: Mapping[Any, Any], dtype: Any) -> dict[Any, Any]:
-    """Attributes as CF requires: flag values have the type of their variable."""
-    return {name: np.array(x, dtype) if isinstance(x, list) else x for name, x in attrs.items()}
+def as_cf(attrs: Mapping[Any, Any], dtype: Any) -> dict[Any, Any]:
+    """Attributes as CF requires: flag values have the type of their variable, and units are of UDUNITS.
+
+    To it A is an ampere, and m a metre. The long name tells other units.
+    """
+    described = {name: np.array(x, dtype) if isinstance(x, list) else x for name, x in attrs.items()}
+    if (units := attrs.get("units", "1")) not in ("1", "rad"):
+        described |= {"long_name": f"{attrs['long_name']}, in {units}", "units": "1"}
+    return described
 
 
 def to_csv(dataset: xarray.Dataset, rows: str) -> bytes:

@@ -29,7 +29,7 @@ from service.jobs.prepare import PreparedJob
 from service.jobs.stores import sharing
 from service.ledger.model import JobRecord, JobState
 from service.views import shared
-from service.views.encode import check_format, record_batch, tables, with_flags, write_parquet
+from service.views.encode import as_cf, check_format, record_batch, tables, write_parquet
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker.studies import study_of
 from worker.study import Array, Layout, Plan
@@ -241,7 +241,7 @@ def _define(file: Any, export: Export) -> None:
             file.create_variable(name, (name,), data=values)
         file.variables[name].attrs.update(layout.coordinate_attrs[name])
     for name, code in layout.codes.items():
-        file.create_variable(name, (code.dim,), data=code.values).attrs.update(with_flags(code.attrs, "|u1"))
+        file.create_variable(name, (code.dim,), data=code.values).attrs.update(as_cf(code.attrs, "|u1"))
     for row in export.arrays:
         dtype = np.dtype(row.dtype)
         created = file.create_variable(
@@ -250,7 +250,7 @@ def _define(file: Any, export: Export) -> None:
             fillvalue=row.fill if dtype.kind == "f" else None,
             compression="gzip", compression_opts=1, shuffle=True,
         )  # fmt: skip
-        created.attrs.update(with_flags(layout.array_attrs(row), row.dtype))
+        created.attrs.update(as_cf(layout.array_attrs(row), row.dtype))
     file.attrs.update({**export.attributes, **export.study.attributes})
 
 
