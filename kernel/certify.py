@@ -37,6 +37,8 @@ RARELY: Final = 32  # ... and of up to LONGEST
 SHORT: Final = 24
 LONGEST: Final = 85
 SEARCHED: Final = 256  # flights kept for the search, a power of two of at least 3 * LONGEST
+LINGERS: Final = 96  # flights that tell whether a motion lingers beside a cycle of up to LINGERING flights
+LINGERING: Final = 8  # most motions beside longer ones are no transients, and would take a tenth of the time
 ALONE: Final = 24  # plate periods without a counting flight after which all flights count
 
 NEAR: Final = 1e-3  # rad within which flights of a candidate repeat; the result does not depend on it
@@ -156,6 +158,19 @@ def follows_refused(k: int, search: Search) -> bool:
     return refused
 
 
+@outlined
+def lingers(k: int, search: Search) -> bool:
+    """Whether the last flights of the cell in lane k nearly repeat a cycle, as beside one that is no more."""
+    n, first, ring = search.counts[k, COUNTED], k * SEARCHED, _ring(search)
+    begin = n - min(n, LINGERS)
+    for bounces in range(1, min(LINGERING, (n - begin) // 4) + 1):
+        newest, periods = _newest(n, first, bounces, search)
+        near = newest <= LEFT
+        if near and _difference(ring, first, begin + bounces, n, bounces, periods) <= LEFT:
+            return not follows_refused(k, search)
+    return False
+
+
 # --- the search for a candidate -------------------------------------------------------------------------
 
 
@@ -232,24 +247,32 @@ def _candidate(k: int, search: Search) -> tuple[int, int, float]:
     """Flights and plate periods of the shortest cycle to try, and its difference, rad; 0 without one."""
     n, failed = search.counts[k, COUNTED], search.failed[k]
     ring, first = _ring(search), k * SEARCHED
-    j, chosen, chosen_periods, difference = slot(ring, first, n - 1), 0, 0, 0.0
+    chosen, chosen_periods, difference = 0, 0, 0.0
     for bounces in range(1, _most(n) + 1):
-        i = slot(ring, first, n - 1 - bounces)
-        newest = abs(search.time[j] - search.time[i])
-        if newest <= LEFT:
-            shift = search.phase[j] - search.phase[i]
-            turn = round(shift * (1.0 / TWO_PI))  # phases either side of the turn of a period are neighbours
-            newest = max(newest, abs(shift - TWO_PI * turn))
+        newest, periods = _newest(n, first, bounces, search)
         if newest > LEFT:
             failed[bounces] = math.inf
             continue
-        periods = search.period[j] - search.period[i] + int(turn)
         if chosen == 0 and periods >= 1 and newest <= min(NEAR, NEARER * failed[bounces]):
             last = _difference(ring, first, n - bounces, n, bounces, periods)
             repeats = last <= min(NEAR, NEARER * failed[bounces])
             if repeats and _approaches(ring, first, n, bounces, periods, last):
                 chosen, chosen_periods, difference = bounces, periods, last
     return chosen, chosen_periods, difference
+
+
+@inlined
+def _newest(n: int, first: int, bounces: int, search: Search) -> tuple[float, int]:
+    """How far the last of n flights differs from one earlier, rad, and the plate periods between."""
+    ring = _ring(search)
+    j, i = slot(ring, first, n - 1), slot(ring, first, n - 1 - bounces)
+    difference, periods = abs(search.time[j] - search.time[i]), 0
+    if difference <= LEFT:
+        shift = search.phase[j] - search.phase[i]
+        turn = round(shift * (1.0 / TWO_PI))  # phases either side of the turn of a period are neighbours
+        difference = max(difference, abs(shift - TWO_PI * turn))
+        periods = search.period[j] - search.period[i] + int(turn)
+    return difference, periods
 
 
 @jit

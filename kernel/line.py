@@ -25,6 +25,7 @@ from kernel.certify import (
     certified,
     follows_refused,
     has_candidate,
+    lingers,
     move_search,
 )
 from kernel.exponents import Variations
@@ -152,9 +153,12 @@ def _after_window(
     if window.certify:
         if run.ending != CERTIFIED:
             _write_record(spring, line, i, run, flights, first, window)
-            if search is not None and line.outcome[i] == cell.SETTLING and follows_refused(k, search):
-                line.outcome[i] = cell.APERIODIC
-            run = cell.go_on(before, run, line.outcome[i], window)
+            outcome = line.outcome[i]
+            if search is not None and outcome == cell.SETTLING and follows_refused(k, search):
+                line.outcome[i] = outcome = cell.APERIODIC
+            elif search is not None and outcome == cell.APERIODIC and lingers(k, search):
+                outcome = cell.SETTLING  # unless it ends here
+            run = cell.go_on(before, run, outcome, window)
         if run.ending != ROOT:
             lanes.counts[1] += 1
         return run

@@ -107,7 +107,8 @@ class _InnerLibrary(JITCodeLibrary):
     def add_ir_module(self, ir_module: Any) -> None:
         if self.outlined:
             for function in ir_module.functions:
-                function.attributes.add("noinline")
+                if not function.is_declaration:
+                    function.attributes.add("noinline")
         super().add_ir_module(ir_module)
 
     def _optimize_functions(self, ll_module: Any) -> None:
