@@ -875,6 +875,18 @@ _PLAIN = """async (numbers) => {
 }"""
 
 
+def test_home_goes_to_the_first_cell_at_once_and_minus_undoes_plus(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
+        wait_shown(page, xi=0.05, omega=0.6)
+        plot = page.locator(".panel .plot").first
+        plot.press("Home")
+        assert page.locator(".panel .readout").first.inner_text().startswith("Γ = 0.3 ")
+        everything = page.get_by_role("button", name="Show everything")
+        for key, state in (("+", "visible"), ("-", "hidden")):
+            plot.press(key)
+            everything.wait_for(state=state)
+
+
 def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop: str):
     """Axes are text and described; the table has what is in the window and not hidden, 25 rows at a time."""
     with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
