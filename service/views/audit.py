@@ -46,7 +46,7 @@ _QUESTION: Final = (
         "share of all cells within largest or aperiodic, at least, with 95 % confidence"),
 )  # fmt: skip
 _DEVIATION: Final = row(
-    "deviation", ("coverage",), "<f8", "by which so many of all cells deviate at most", "rad",
+    "deviation", ("coverage",), "<f8", "largest deviation of this share of all cells", "rad",
     comment="with 95 % confidence; aperiodic cells count as within, undecided as beyond; infinite: too few",
 )  # fmt: skip
 _OF_SWEEP: Final = (

@@ -32,7 +32,7 @@ Log = Annotated[
 ]
 
 Direction = Annotated[
-    str | None, Field(description="rest, up or down; default: all that the sweep has, a dimension if two")
+    str | None, Field(description="rest, up or down; default: every direction of the sweep")
 ]
 FirstDirection = Annotated[
     str | None, Field(description="rest, up or down; default: the first direction of the sweep")
@@ -47,7 +47,7 @@ MinFlight = Annotated[
 
 def _classes(names: str) -> str:
     if unknown := [name for name in names.split(",") if name not in CLASS_NAMES]:
-        raise ValueError(f"must be of {', '.join(CLASS_NAMES)}, not {unknown[0]!r}")
+        raise ValueError(f"must be among {', '.join(CLASS_NAMES)}, not {unknown[0]!r}")
     return names
 
 

@@ -65,11 +65,11 @@ class ModelComparison(Strict):
     median: float | None = Field(description="deviation of flight times; null where some cell has none")
     percentile_95: float | None
     cells: int
-    drawn: int = Field(0, description="cells, and those whose exact run failed")
+    drawn: int = Field(0, description="cells drawn, those whose exact run failed included")
     repeating: int = Field(0, description="cells at rest or periodic, compared flight by flight")
-    beyond: int = Field(0, description="of them, and of failed ones, those beyond the tolerance")
+    beyond: int = Field(0, description="cells beyond the tolerance, of these and of those that failed")
     most: float | None = Field(
-        None, description="share of all cells so, at most, with 95 % confidence; null on a ramp"
+        None, description="largest share of all cells beyond it, with 95 % confidence; null on a ramp"
     )
     unlike: int = Field(0, description="other cells whose distributions differ by more than the tolerance")
     resting: int = Field(0, description="cells at rest on the plate throughout, computed in closed form")

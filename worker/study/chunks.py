@@ -155,8 +155,8 @@ class Cost(Strict):
     least_core_seconds: float | None = Field(None, description="adaptive maps: lower limit; null for others")
     longest_core_seconds: float | None = Field(
         None,
-        description="upper end: every cell hops as often as any, and as many settle as where it is slow; "
-        "null where core_seconds is",
+        description="upper limit: all cells bounce as often as those that bounce most, and as many settle as "
+        "where most do; null where core_seconds is",
     )
     basis: Literal["measured", "table"] = Field(
         "table", description="measured: the table of costs, scaled by what a sample of the study took"

@@ -73,12 +73,12 @@ class OrbitsQuery(ContactQuery):
     modes: Modes = "1-1,1-2"
     gamma_max: GammaMax = 8.0
     points: int = Field(
-        400, ge=10, le=MAX_POINTS, description="of each branch, about; of a `model`, at most, each way"
+        400, ge=10, le=MAX_POINTS, description="points of a branch, about; with a `model`, at most, each way"
     )
-    start: Annotated[Number | None, Field(description="Γ from which branches have `points` more")] = None
-    stop: Annotated[Number | None, Field(description="Γ up to which they have")] = None
-    flight_start: Annotated[Number | None, Field(description="rad, the same of flights")] = None
-    flight_stop: Number | None = None
+    start: Annotated[Number | None, Field(description="lowest Γ of a window with `points` more")] = None
+    stop: Annotated[Number | None, Field(description="highest Γ of the window")] = None
+    flight_start: Annotated[Number | None, Field(description="rad, shortest flight of the window")] = None
+    flight_stop: Annotated[Number | None, Field(description="rad, longest flight of the window")] = None
     energy: WithEnergy = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
     along: Literal["gamma", "omega", "xi"] = Field(

@@ -264,10 +264,10 @@ def test_a_kind_of_study_begins_with_what_the_kind_before_lacked(browser: Any, a
 
 def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
     orbits = {"name": "dropped", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
-    with opened(browser, address, expected=("422",)) as page:
+    with opened(browser, address, expected=("400", "422")) as page:
         page.get_by_role("heading", name="Sweeps").wait_for()
         page.evaluate(DROP, ["spec.toml", "gamma = 1"])
-        refusal = page.get_by_text("This is not JSON: ")
+        refusal = page.get_by_text("the text is not JSON at line 1, column 1")
         refusal.wait_for()
         assert refusal.bounding_box()["y"] < page.viewport_size["height"]
         page.get_by_label("Specification as JSON").fill(json.dumps(orbits | {"points": "many"}))
@@ -873,6 +873,18 @@ _PLAIN = """async (numbers) => {
     const { number, plain } = await import(new URL("static/js/lib/format.js", location).href);
     return numbers.map((value) => plain(number(value)));
 }"""
+
+
+def test_home_goes_to_the_first_cell_at_once_and_minus_undoes_plus(browser: Any, address: str, loop: str):
+    with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
+        wait_shown(page, xi=0.05, omega=0.6)
+        plot = page.locator(".panel .plot").first
+        plot.press("Home")
+        assert page.locator(".panel .readout").first.inner_text().startswith("Γ = 0.3 ")
+        everything = page.get_by_role("button", name="Show everything")
+        for key, state in (("+", "visible"), ("-", "hidden")):
+            plot.press(key)
+            everything.wait_for(state=state)
 
 
 def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop: str):

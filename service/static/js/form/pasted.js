@@ -14,20 +14,19 @@ export class PastedSpecification {
   constructor(taken) {
     this.take = debounced(DELAY_MS, async () => {
       this.problem.show(null);
-      if (!this.text.value.trim()) return;
-      try {
-        const spec = JSON.parse(this.text.value);
-        await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: spec });
-        taken(spec);
+      const text = this.text.value.trim();
+      if (!text) return;
+      try { // the service reads it first: each browser refuses in words of its own
+        await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: text });
+        taken(JSON.parse(text));
       } catch (error) {
-        const isJson = error.name !== "SyntaxError";
-        this.problem.showInView(isJson ? error : new Error(`This is not JSON: ${error.message}. \`bounce submit\` takes TOML files.`));
+        this.problem.showInView(error);
       }
     });
     this.text = h("textarea", { rows: 12, spellcheck: false, "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
     this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
-      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it. A file can be dropped anywhere on the page, also a sweep that was shared."),
+      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it; `bounce submit` takes TOML files too. A file can be dropped anywhere on the page, also a sweep that was shared."),
       this.text, this.problem.element);
   }
 

@@ -77,7 +77,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
   const response = await answered(fetch(SERVICE + path, {
     method,
     headers,
-    body: body instanceof Blob ? body : JSON.stringify(body), // of undefined: undefined
+    body: body instanceof Blob || typeof body === "string" ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
   }), signal);
   const refused = token !== null && token === sessionStorage.getItem(TOKEN_KEY); // not replaced meanwhile

@@ -131,8 +131,9 @@ export function scaled({ box }, window, whole, factors, from, to = from) {
     const centre = axis.value((axis.pixel(low) + axis.pixel(high)) / 2);
     const [before, after] = [from, to].map((point) => axis.pixel(point?.[i] ?? centre));
     const [start, end] = [low, high].map((value) => axis.value(before + factors[i] * (axis.pixel(value) - after)));
-    if (factors[i] === 1 && (before === after || start < least || end > most)) return [low, high]; // a window that is moved keeps its size
-    return [Math.max(least, start), Math.min(most, end)];
+    const isKept = factors[i] === 1 && (before === after || start < least || end > most); // a window that is moved keeps its size
+    const within = (value, limit) => (Math.abs(axis.pixel(value) - axis.pixel(limit)) < 0.5 ? limit : value); // an address is rounded
+    return isKept ? [within(low, least), within(high, most)] : [within(Math.max(least, start), least), within(Math.min(most, end), most)];
   };
   const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], 0);
   const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], 1);

@@ -298,7 +298,7 @@ export class PlotView {
     const { x0, x1, y0, y1 } = this.visible();
     const isSeen = (cell) => !cell || this.isVisible(this.at(cell)[0]);
     const from = this.window && (!this.current || !isSeen(this.current)) ? this.nearest((x0 + x1) / 2, (y0 + y1) / 2) : this.current;
-    let cell = this.step(from, right, up);
+    let cell = this.step(from ?? (Number.isFinite(right) ? null : this.step(null, 0, 0)), right, up); // the first key goes to the middle, Home and End beyond
     if (this.window && !isSeen(cell)) { // Home and End go to the ends of what is shown
       const [x, y] = this.at(cell);
       cell = this.nearest(clamp(x, x0, x1), y ?? (y0 + y1) / 2);

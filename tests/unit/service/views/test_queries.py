@@ -128,7 +128,7 @@ def test_a_picture_is_what_is_shown(sweep: Stored):
     assert found.omega.values.tolist() == [0.7]
     VIEWS["threshold"].draw(found, figure := Figure())
     assert figure.axes[0].get_ylim() == (0.2, 1.5)
-    with pytest.raises(ValidationError, match=r"must be of 1-fewer, .* not 'rest'"):
+    with pytest.raises(ValidationError, match=r"must be among 1-fewer, .* not 'rest'"):
         modes(sweep, xi=0.26, hide="at_rest,rest")
 
 
