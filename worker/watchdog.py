@@ -26,8 +26,8 @@ from worker.study.chunks import with_options
 from worker.work import compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
-#: watchdog terminates the worker over it; `{"compiling", "began", "store"}` twice a second while a kernel is
-#: compiled.
+#: watchdog terminates the worker over it; `{"compiling", "store"}` twice a second while a kernel is compiled, and
+#: with None afterwards.
 TOPIC: Final = "bouncing-spring"
 
 #: The interval of the checks, and that of the cancel flag, which may be in a distant bucket.
@@ -89,12 +89,15 @@ def _compile(spec: Specification, store_url: str, worker: Any) -> None:
     thread = ThreadPoolExecutor(1, "compile")
     compiled = thread.submit(compile_for, spec)
     thread.shutdown(wait=False)
+    said: tuple[Any, ...] = ()
     while not wait([compiled], FLAG_SECONDS).done:
-        for kernel, began in compilations():
-            worker.log_event(TOPIC, {"compiling": kernel, "began": began, "store": store_url})
+        for said in compilations():
+            worker.log_event(TOPIC, {"compiling": said, "store": store_url})
         with contextlib.suppress(OSError):  # a bucket out of reach is no reason to stop
             if store.is_cancelled(store_url):
                 raise ChunkCancelled(f"cancelled: {store_url}")
+    if said:
+        worker.log_event(TOPIC, {"compiling": None, "store": store_url})
     compiled.result()
 
 

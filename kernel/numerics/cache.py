@@ -5,7 +5,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+#: Seconds that kernels take, until this process has compiled one (docs/performance.md).
+USUAL: Final = {"rigid kernel": 14.0, "soft kernel": 17.0}
+OTHERS: Final = 10.0
+LOADED: Final = 2.0  # a kernel that took less was in the cache
 
 
 class Compilation(NamedTuple):
@@ -13,6 +18,7 @@ class Compilation(NamedTuple):
 
     kernel: str  # its contact model, such as "rigid kernel"
     began: float  # time.time()
+    usual: float  # seconds that it took the last time, or usually takes
 
     @property
     def seconds(self) -> float:
@@ -23,8 +29,9 @@ class Compilation(NamedTuple):
 #: Where entries are kept; None: nowhere.
 _folder: Path | None = None
 
-#: The compilations of this process, by thread.
+#: The compilations of this process, by thread, and the seconds that kernels took.
 _under_way: dict[int, Compilation] = {}
+_took: dict[str, float] = {}
 
 
 def set_cache(folder: Path | None) -> None:
@@ -47,8 +54,11 @@ def compilations() -> list[Compilation]:
 def compiling(kernel: str) -> Iterator[None]:
     """List this kernel in `compilations` during the block."""
     thread = threading.get_ident()
-    _under_way[thread] = Compilation(kernel, time.time())
+    usual = _took.get(kernel, USUAL.get(kernel, OTHERS))
+    _under_way[thread] = Compilation(kernel, time.time(), usual)
     try:
         yield
+        if (took := _under_way[thread].seconds) > LOADED:
+            _took[kernel] = took
     finally:
         del _under_way[thread]

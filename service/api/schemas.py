@@ -157,6 +157,7 @@ class CompilingView(BaseModel):
 
     kernel: str = Field(description="its contact model")
     seconds: float = Field(description="so far")
+    usual: float = Field(description="seconds that it took the last time, or usually takes")
 
 
 class BudgetView(BaseModel):

@@ -108,11 +108,11 @@ class JobStatus:
 
     @property
     def compiling(self) -> str:
-        """The kernel that is compiled before the first chunk, and for how long; else empty."""
+        """The kernel that is compiled before the first chunk, for how long, of the usual time; else empty."""
         facts = self.view.get("compiling")
         if not facts:
             return ""
-        return f"compiling {facts['kernel']}, {round(facts['seconds'])} s"
+        return f"compiling {facts['kernel']}, {round(facts['seconds'])} s of about {round(facts['usual'])}"
 
     @property
     def pinned(self) -> bool:

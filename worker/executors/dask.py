@@ -267,8 +267,9 @@ class Dask:
         if "host" in event:
             self._roster.note(event)
         elif "compiling" in event:
-            compilation = Compilation(event["compiling"], event["began"])
-            self._compiling[event["store"]] = time.monotonic(), compilation
+            self._compiling.pop(event["store"], None)  # another worker that still compiles it says so soon
+            if event["compiling"] is not None:
+                self._compiling[event["store"]] = time.monotonic(), Compilation(*event["compiling"])
         elif task := self._tasks.get(event["key"]):
             task.worker = event["worker"]
             if "why" in event:

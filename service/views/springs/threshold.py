@@ -1,5 +1,6 @@
 """Thresholds of springs without a sweep, of one and of a grid: in closed form, followed, or searched for."""
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -190,6 +191,9 @@ class GridQuery(SearchQuery):
 def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
     """The values of an axis, written as numbers or start:stop:number. Raises InvalidRequest."""
     text = getattr(query, name)
+    if re.fullmatch(r"\d+,\d+", text.strip()):  # 0,26 is 0.26 to many; 0.5,0.6 and 1, 2 are lists
+        rule = f"write a decimal point, as {text.replace(',', '.')}, or a space between two values"
+        raise InvalidRequest.of(name, rule)
     try:
         if ":" in text:
             start, stop, number = text.split(":")

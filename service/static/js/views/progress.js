@@ -40,7 +40,7 @@ export class JobSummary {
     this.progress.dataset.state = state;
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
-    this.amount.textContent = this.amount.title = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)}` : amount(job);
+    this.amount.textContent = this.amount.title = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)} of about ${duration(compiling.usual)}` : amount(job);
     this.notice.replaceChildren(...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : []));
     showActions(this.actions, job, this.on);
   }

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from kernel.numerics import compilation
-from kernel.numerics.cache import cache_folder, set_cache
+from kernel.numerics import cache, compilation
+from kernel.numerics.cache import USUAL, cache_folder, compilations, compiling, set_cache
 from kernel.numerics.compilation import Entry
 from kernel.numerics.jit import inlined, jit
 
@@ -86,3 +86,16 @@ def test_threads_that_need_the_same_entry_compile_it_once(folder, monkeypatch):
     for thread in threads:
         thread.join()
     assert len(compiled) == 1
+
+
+def test_a_compilation_tells_how_long_it_took_the_last_time(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(cache, "_took", {})
+
+    def usual() -> float:
+        with compiling("soft kernel"):
+            return compilations()[-1].usual
+
+    assert [usual(), usual()] == [USUAL["soft kernel"]] * 2  # from the cache, at once
+    monkeypatch.setattr(cache, "LOADED", 0.0)
+    usual()
+    assert 0.0 < usual() < 1.0

@@ -379,6 +379,7 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
 
 
 @for_each(("query", "rule"), [
+    ({"xi": "0,26"}, "xi: write a decimal point, as 0.26, or a space between two values"),
     ({"omega": "0.6,x"}, "omega: must be numbers, as 0.45,0.46, or start:stop:number"),
     ({"omega": "0.6,0.5"}, "omega: must increase"),
     ({"omega": "0.4:0.5:0"}, "omega: must be numbers, as 0.45,0.46, or start:stop:number"),
