@@ -26,8 +26,8 @@ from worker.study.chunks import with_options
 from worker.work import compile_for
 
 #: The topic under which workers log events: `{"key", "worker"}` when a task begins, with "why" when the
-#: watchdog terminates the worker over it; `{"compiling", "store"}` twice a second while a kernel is compiled, and
-#: with None afterwards.
+#: watchdog terminates the worker over it; `{"compiling", "store"}` twice a second while a kernel is compiled,
+#: and with None afterwards.
 TOPIC: Final = "bouncing-spring"
 
 #: The interval of the checks, and that of the cancel flag, which may be in a distant bucket.
