@@ -183,7 +183,7 @@ def _impossible(array: str, value: float) -> Callable[[bytes], bytes]:
         (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
         (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
         (_resealed(lambda contents: contents.update(runs=NEVER)), 422, "is damaged"),
-        (_root(KERNEL_VERSION, "0"), 422, "computed by kernel version 0"),
+        (_root(f'version": "{KERNEL_VERSION}"', 'version": "0"'), 422, "computed by kernel version 0"),
         (_root('"attributes": {', '"attributes": [], "": {'), 422, "is damaged"),
         (_root('"spec": ', '"spec": [], "": '), 422, "is damaged"),
         (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
