@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from service.cli.options import data_option, names_url, url_option
+from service.cli.options import data_option, names_url, plural, url_option
 from service.tokens import find_service
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def backup(file: Path, data: str | None) -> None:
     from service.ledger import backup as backups
 
     contents = backups.backup(_settings(data).ledger_path, file)
-    click.echo(f"{file}: {contents.jobs} jobs, {contents.chunks} done chunks")
+    click.echo(f"{file}: {plural(contents.jobs, 'job')}, {plural(contents.chunks, 'done chunk')}")
 
 
 @click.command()
@@ -43,7 +43,7 @@ def restore(file: Path, data: str | None) -> None:
 
     settings = _settings(data)
     (jobs, chunks), replaced = backups.restore(settings.ledger_path, file)
-    click.echo(f"{settings.ledger_path}: {jobs} jobs, {chunks} done chunks")
+    click.echo(f"{settings.ledger_path}: {plural(jobs, 'job')}, {plural(chunks, 'done chunk')}")
     if replaced is not None:
         click.echo(f"the ledger that was there is {replaced}")
     with opening.open_ledger(settings) as ledger:

@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import httpx2
 
+from service.cli.options import plural
 from service.errors import DataFolderBusy, LedgerUnusable, UnknownJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores.opening import open_ledger
@@ -88,7 +89,8 @@ def _ledger(settings: Settings) -> Iterator[Finding]:
         yield Finding("ledger", f"{path} is empty", ok=False)
     else:
         contents = backup.inspect(path)
-        yield Finding("ledger", f"{path}: {contents.jobs} jobs, {contents.chunks} done chunks, sound")
+        held = f"{plural(contents.jobs, 'job')}, {plural(contents.chunks, 'done chunk')}"
+        yield Finding("ledger", f"{path}: {held}, sound")
     if copies := replaced_copies(path):
         yield Finding("ledger", f"copies beside it: {', '.join(copy.name for copy in copies)}")
 
@@ -108,7 +110,8 @@ def _stores(settings: Settings) -> Iterator[Finding]:
         state = "is missing" if stored is None else "is another ledger's"
         yield Finding("stores", f"{url}: their marker {store.MARKER} {state}; see /readyz", ok=False)
     if lost:
-        text = f"{len(lost)} are missing, such as {lost[0]}: put them back, or run bounce doctor --verify"
+        missing = f"{plural(len(lost), 'store')} missing, such as {lost[0]}"
+        text = f"{missing}: put them back, or run bounce doctor --verify"
         yield Finding("stores", text, ok=False)
     for name in sorted(names):
         stem, _, rest = name.partition(".zarr")

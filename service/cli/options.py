@@ -48,6 +48,11 @@ class Duration(click.ParamType[float]):
 DURATION: Final = Duration()
 
 
+def plural(number: int, thing: str) -> str:
+    """A number of things: `1 job`, `2 jobs`."""
+    return f"{number:,} {thing}{'' if number == 1 else 's'}"
+
+
 class Number(click.FloatRange):
     """A number within bounds, called so in messages."""
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
+from service.cli.options import plural
 from service.client.display import duration, settling_note, time_left
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ def job_report(job: "Job") -> str:
         "name": job.name,
         "state": job.state,
         "progress": f"{progress.whole_percent}% "
-        f"({progress.cells_done:,} of {_plural(progress.cells_total, 'cell')}, "
-        f"{progress.chunks_done:,} of {_plural(progress.chunks_total, 'chunk')}){time_left(job)}",
+        f"({progress.cells_done:,} of {plural(progress.cells_total, 'cell')}, "
+        f"{progress.chunks_done:,} of {plural(progress.chunks_total, 'chunk')}){time_left(job)}",
         "settling": settling_note(job),
         "model": (job.view.get("choice") or {}).get("reason"),
         **{
@@ -60,9 +61,9 @@ def estimate_line(estimate: "Estimate") -> str:
         seconds, most = _range(time(estimate.least_core_seconds), seconds), "at most "
     if estimate.longest_core_seconds is not None:
         longest = f"; up to {time(estimate.longest_core_seconds)} if every cell were a slow one"
-    workers = "one core" if not estimate.workers else _plural(estimate.workers, "worker")
+    workers = "one core" if not estimate.workers else plural(estimate.workers, "worker")
     return (
-        f"{_plural(estimate.cells, 'cell')}{computed} in {_plural(estimate.chunks, 'chunk')}, "
+        f"{plural(estimate.cells, 'cell')}{computed} in {plural(estimate.chunks, 'chunk')}, "
         f"{most}{decimal(estimate.bytes)} before compression, about {seconds} on {workers} "
         f"({estimate.core_seconds:,.1f} core-seconds, {_BASES[estimate.basis]}{longest})"
     )
@@ -77,7 +78,3 @@ _BASES: Final = {
 
 def _range(low: str, high: str) -> str:
     return high if low == high else f"{low} to {high}"
-
-
-def _plural(number: int, thing: str) -> str:
-    return f"{number:,} {thing}{'' if number == 1 else 's'}"

@@ -55,7 +55,8 @@ def repair(ledger: Ledger, preparer: JobPreparer, job_id: str, damaged: Sequence
 
 def describe(prepared: PreparedJob, damaged: Sequence[ChunkCoords]) -> str:
     """The damaged chunks, or metadata, of a store."""
-    chunks = [prepared.plan[prepared.plan.number(*coords)] for coords in damaged[:MAX_DESCRIBED]]
+    numbers = sorted(prepared.plan.number(*coords) for coords in damaged)
+    chunks = [prepared.plan[number] for number in numbers[:MAX_DESCRIBED]]
     more = f" and {len(damaged) - MAX_DESCRIBED} more" if len(damaged) > MAX_DESCRIBED else ""
     return f"{'; '.join(map(prepared.describe, chunks))}{more}" if chunks else "the store's metadata"
 

@@ -61,7 +61,7 @@ def test_a_backup_is_whole_while_the_service_writes(tmp_path: Path):
         held.let_go()
         wait_for(lambda: service.job(job).chunks_done == 1)
         answer = bounce("backup", str(file), "--data", str(tmp_path / "data"))
-        assert (answer.exit_code, answer.output) == (0, f"{file}: 1 jobs, 1 done chunks\n")
+        assert (answer.exit_code, answer.output) == (0, f"{file}: 1 job, 1 done chunk\n")
         held.let_go_until(lambda: service.job(job).state is JobState.DONE)
         marked = service.job(job).chunks_done
         backup.backup(service.settings.ledger_path, file)  # in place of the one before
@@ -109,7 +109,7 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
     known = ids(data / "ledger.sqlite")
     answer = bounce("restore", str(folder / "backup.sqlite"), "--data", str(data))
     assert answer.exit_code == 0, answer.output
-    assert "1 jobs, " in answer.output
+    assert "1 job, " in answer.output
     assert "2 stores are unknown to it: bounce adopt --all" in answer.output
     [replaced] = data.glob("ledger-replaced-*.sqlite")
     assert f"the ledger that was there is {replaced}\n" in answer.output
