@@ -157,7 +157,7 @@ def _after_window(
             if search is not None and outcome == cell.SETTLING and follows_refused(k, search):
                 line.outcome[i] = outcome = cell.APERIODIC
             elif search is not None and outcome == cell.APERIODIC and lingers(k, search):
-                outcome = cell.SETTLING  # unless it ends here
+                outcome = cell.SETTLING  # it goes on; where it cannot, it stays aperiodic
             run = cell.go_on(before, run, outcome, window)
         if run.ending != ROOT:
             lanes.counts[1] += 1

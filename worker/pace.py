@@ -8,6 +8,7 @@ or are aperiodic.
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -181,33 +182,43 @@ def _drawn_cells(spec: Any, number: int, random: np.random.Generator) -> list[Ce
     return [Cell(*cell) for cell in zip(*(values[name].tolist() for name in Cell._fields), strict=True)]
 
 
+@dataclass
+class _TimedSearch:
+    """The runs of a search among some starts of a cell, and their processor time, s."""
+
+    spec: BasinSpec
+    cell: Cell
+    every: float = 0.0  # of the starts' own runs
+    left_out: float = 0.0  # that representatives would have settled for
+
+    def answer(self, request: Request, reduce: Callable[[Line], dict[str, NDArray[Any]]]) -> Any:
+        """The answer to a request; representatives settle for at most SHORT plate periods."""
+        settle = request.settle if request.every else min(request.settle, SHORT)
+        window = request._replace(settle=settle).window()
+        before = time.thread_time()
+        cells = [np.full(len(request.states), value) for value in self.cell]
+        answer = reduce(to_end(run_of_starts(self.spec, cells, **window)))
+        took = time.thread_time() - before
+        self.every += took if request.every else 0.0
+        self.left_out += took * (request.settle - settle) / (settle + request.observe)
+        return answer
+
+
 def _of_basins(spec: BasinSpec, number: int, random: np.random.Generator) -> float:
     """The pace of basins, by searches among some starts of two cells or more.
 
-    Their representatives are as many as of all starts, and settle for a part of the time.
+    Their representatives are as many as of all starts.
     """
     every, others, sampled, began = 0.0, 0.0, 0, time.thread_time()
     for cell in _drawn_cells(spec, SAMPLES, random):
-        if sampled > 1 and time.thread_time() - began > CELLS * SECONDS:
+        before = time.thread_time()
+        if sampled > 1 and before - began > CELLS * SECONDS:
             break
         states = random.choice(starts_of(spec, *cell), max(number // CELLS, FEWEST))
-        before, of_starts, left_out = time.thread_time(), 0.0, 0.0
-
-        def answer(request: Request, reduce: Callable[[Line], dict[str, NDArray[Any]]]) -> Any:
-            nonlocal of_starts, left_out
-            settle = request.settle if request.every else min(request.settle, SHORT)
-            window = request._replace(settle=settle).window()
-            before = time.thread_time()
-            cells = [np.full(len(request.states), value) for value in cell]  # noqa: B023 - called at once
-            answer = reduce(to_end(run_of_starts(spec, cells, **window)))
-            took = time.thread_time() - before
-            of_starts += took if request.every else 0.0
-            left_out += took * (request.settle - settle) / (settle + request.observe)
-            return answer
-
-        find(states, spec, answer)
-        every += of_starts / len(states)
-        others += time.thread_time() - before - of_starts + left_out
+        search = _TimedSearch(spec, cell)
+        find(states, spec, search.answer)
+        every += search.every / len(states)
+        others += time.thread_time() - before - search.every + search.left_out
         sampled += 1
     plan = plan_basins(spec)
     starts = spec.protocol.rows * spec.protocol.columns

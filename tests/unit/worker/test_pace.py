@@ -37,7 +37,6 @@ def study(**fields: Any) -> Any:
 def compiled() -> None:
     """There is no sample before."""
     compile_for(study())
-    compile_for(study(protocol=RAMP))
 
 
 @pytest.mark.parametrize("direction", ["up", "down"])
