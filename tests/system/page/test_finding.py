@@ -356,7 +356,7 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.locator(".plot[data-shown]").first.wait_for()
         page.get_by_text("Bouncing does not persist below").wait_for()
         page.locator(".player[data-phase]").wait_for()
-        page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of successive flights")).wait_for()
+        page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of flights")).wait_for()
         assert page.locator(".panel .plot").bounding_box()["y"] < 140
         page.get_by_label("Value of Ω").fill("0.6003")
         page.get_by_label("Value of ξ").fill("0.05")

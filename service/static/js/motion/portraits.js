@@ -22,7 +22,7 @@ export class Portraits {
     this.mapNote = h("p", { className: "note" });
     this.element = h("div", { className: "portraits" },
       h("div", {}, h("h3", {}, "Return map"), map, this.mapNote),
-      h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Dots: once per plate period (Poincaré section).")));
+      h("div", {}, h("h3", {}, "Phase portrait"), portrait, h("p", { className: "note" }, "Dots: once per plate period.")));
 
     this.map = new Plot(map, { signal, takesInput: false, label: "Return map: each flight time over the one before", content: () => this.flights && returnMap(this.flights) });
     this.portrait = new Plot(portrait, { signal, takesInput: false, label: "Phase portrait: velocity of the spring’s elongation over its elongation", content: () => this.trajectory && phasePortrait(this.trajectory) });
@@ -43,7 +43,7 @@ const pairsOf = (flights) => flights.slice(1).map((time, i) => [flights[i], time
 function mapText(flights) {
   if (flights.length < 2) return "The spring makes no two flights in a row.";
   const points = new Set(pairsOf(flights).map((pair) => pair.map((time) => Math.round(time / SAME)).join()));
-  return `${plural(points.size, "point")} of ${plural(flights.length - 1, "pair")} of successive flights.`;
+  return `${plural(points.size, "point")} of ${plural(flights.length - 1, "pair")} of flights.`;
 }
 
 function returnMap(flights) {
