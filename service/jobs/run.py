@@ -3,10 +3,11 @@
 Knows neither ledger nor store.
 """
 
+import heapq
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from typing import Final
 
@@ -28,6 +29,10 @@ RECENT: Final = 3
 #: Most by which the table of costs may change that estimate, as long as few steps are done: most ramps begin
 #: or end at rest, which takes less.
 BY_TABLE: Final = 1.5
+#: Pairs of a chunk to come and a chunk done up to which each is expected to take as long as those beside it.
+PAIRS: Final = 100_000
+#: Least time left of a chunk, relative to the time that it has taken: it may take longer than expected.
+LEAST_LEFT: Final = 0.25
 #: Chunks in a row up to which a run has the time left from the table of costs until it has a rate.
 FEW: Final = 2
 
@@ -120,7 +125,7 @@ class ChunkTimes:
 
     def __init__(self, plan: Plan, by_table: float) -> None:
         """by_table: seconds of a chunk by the table of costs."""
-        self._ramp, self._by_table = plan.ramp is not None, by_table
+        self._plan, self._ramp, self._by_table = plan, plan.ramp is not None, by_table
         self._turns = plan.ramp is not None and len(plan.directions) == 2
         self._took = np.full((len(plan) // plan.lines, plan.lines), np.nan)  # s, of reported chunks
         self._began: float | None = None  # time of the first reports; before, kernels compile
@@ -133,14 +138,17 @@ class ChunkTimes:
         if self._began is None and reports:
             self._began, self._before = now, float(np.nansum(self._took))
 
-    def left(self, to_come: NDArray[np.bool_], now: float, at_once: int) -> float | None:
+    def left(
+        self, to_come: NDArray[np.bool_], now: float, at_once: int, elapsed: Mapping[int, float]
+    ) -> float | None:
         """Seconds that the chunks `to_come` (chunks,) will take at the present rate; None without a rate.
 
         at_once: the most chunks that are computed at a time, which limits the rate: chunks that are reported
-        soon after the first ones began with them.
+        soon after the first ones began with them. elapsed: seconds since chunks in flight began.
         A chunk on the way back of a ramp is expected to take as long as on the way there. Any other is
         expected to take as long as the newest chunks: on a ramp those of the last RECENT steps, else all. On
-        a ramp the table of costs counts too, the less the more steps are done.
+        a ramp the table of costs counts too, the less the more steps are done. Without a ramp the last chunks
+        are expected to take as long as those beside them in the grid, and the last worker decides.
         """
         took = self._took
         if self._began is None:
@@ -156,7 +164,26 @@ class ChunkTimes:
             mixed = done * recent + (1.0 - done) * self._by_table
             recent = min(max(mixed, recent / BY_TABLE), recent * BY_TABLE)
         expected[np.isnan(expected)] = recent
-        return float(expected.ravel()[to_come].sum() * max((now - self._began) / counted, 1.0 / at_once))
+        last = np.flatnonzero(to_come)
+        if self._ramp or len(last) * np.count_nonzero(~np.isnan(took)) > PAIRS:
+            return float(expected.ravel()[last].sum() * max((now - self._began) / counted, 1.0 / at_once))
+        seconds = dict(zip(last.tolist(), self._as_beside(last), strict=True))
+        under_way = [
+            max(seconds.pop(i) - each, each * LEAST_LEFT) for i, each in elapsed.items() if i in seconds
+        ]
+        ends = (under_way + [0.0] * at_once)[:at_once]
+        heapq.heapify(ends)
+        for each in seconds.values():
+            heapq.heapreplace(ends, ends[0] + each)
+        return float(max(ends) * max(at_once * (now - self._began) / (counted + sum(elapsed.values())), 1.0))
+
+    def _as_beside(self, chunks: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Seconds expected of chunks from those done: a mean weighted by their distance to the power -5."""
+        took = self._took.ravel()
+        done = np.flatnonzero(~np.isnan(took))
+        places, others = (np.stack(np.unravel_index(i, self._plan.counts), axis=-1) for i in (chunks, done))
+        weights = ((places[:, None] - others) ** 2).sum(axis=-1) ** -2.5
+        return np.average(np.broadcast_to(took[done], weights.shape), axis=-1, weights=weights)
 
 
 class JobRun:
@@ -178,6 +205,8 @@ class JobRun:
         self.flagged = False  # its store has the cancel flag
         self.refused = False  # the executor refused a chunk; nothing is submitted until the next sync
         self.in_flight: dict[int, Future[ChunkReport]] = {}
+        self._since: dict[int, float] = {}  # when chunks in flight got a worker
+        self._sliced: Counter[int] = Counter()  # milliseconds of their paused slices
         self.turns: dict[int, float] = {}  # estimated seconds of chunks in flight as the job's turn
         self.unsaved_reports: list[ChunkReport] = []  # of stored chunks that are not marked yet
         self._policy = policy
@@ -213,8 +242,9 @@ class JobRun:
         """Whether there is a chunk to submit now or later."""
         return not self.stopped and self.queue.ready > 0
 
-    def add_slice(self, seconds: float) -> None:
+    def add_slice(self, chunk: int, seconds: float) -> None:
         """Note the seconds of a slice after which a chunk paused."""
+        self._sliced[chunk] += round(1e3 * seconds)
         self._paused_seconds += seconds
         self.unsaved_seconds += seconds
 
@@ -240,7 +270,9 @@ class JobRun:
         to_come = ~self.queue.done
         to_come[[report.index for report in self.unsaved_reports]] = False
         at_once = max(min(workers, self.prepared.plan.lines), 1)
-        if (left := self._times.left(to_come, now, at_once)) is not None:
+        self._since = {chunk: self._since.get(chunk, now) for chunk in [*self.in_flight][:at_once]}
+        elapsed = {chunk: now - since + 1e-3 * self._sliced[chunk] for chunk, since in self._since.items()}
+        if (left := self._times.left(to_come, now, at_once, elapsed)) is not None:
             return left
         in_a_row = -(-self._to_come // at_once)
         left = in_a_row * self._by_table - (now - self._began)

@@ -220,7 +220,7 @@ class Supervisor:
         if report is not None and (mismatch := run.mismatch(chunk, report)):
             error, report = mismatch, None
         if isinstance(error, ChunkPaused):
-            run.add_slice(seconds := error.seconds)
+            run.add_slice(chunk, seconds := error.seconds)
         elif report is not None:
             seconds = report.seconds - report.paused_seconds
         else:

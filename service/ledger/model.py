@@ -125,13 +125,12 @@ class JobRecord(NewJob):
     def eta_seconds(self, now: float) -> float | None:
         """Estimated seconds left; None without an estimate.
 
-        Between chunks it falls ever more slowly, at most to half, so that a slow chunk at most doubles it.
+        Between chunks it falls at most to half, so that a slow chunk at most doubles it.
         """
         left = self.seconds_left
         if self.state is not JobState.RUNNING or self.progressed is None or left is None:
             return None
-        since = max(now - self.progressed, 0.0)
-        return left and left / min(1.0 + since / left, 2.0)
+        return max(left - max(now - self.progressed, 0.0), left / 2.0)
 
     def progress(self, now: float) -> dict[str, float | None]:
         """The job's progress for users at `now`, in seconds since 1970."""
