@@ -31,8 +31,8 @@ RECENT: Final = 3
 BY_TABLE: Final = 1.5
 #: Pairs of a chunk to come and a chunk done up to which each is expected to take as long as those beside it.
 PAIRS: Final = 100_000
-#: Least time left of a chunk, relative to the time that it has taken: it may take longer than expected.
-LEAST_LEFT: Final = 0.25
+#: Least time left, relative to the time taken: of chunks and runs that take longer than expected.
+LEAST_LEFT: Final = 0.125
 #: Chunks in a row up to which a run has the time left from the table of costs until it has a rate.
 FEW: Final = 2
 
@@ -275,8 +275,8 @@ class JobRun:
         if (left := self._times.left(to_come, now, at_once, elapsed)) is not None:
             return left
         in_a_row = -(-self._to_come // at_once)
-        left = in_a_row * self._by_table - (now - self._began)
-        return left if in_a_row <= FEW and left > 0.0 else None
+        taken = now - self._began
+        return max(in_a_row * self._by_table - taken, taken * LEAST_LEFT) if in_a_row <= FEW else None
 
     @property
     def at_once(self) -> int:

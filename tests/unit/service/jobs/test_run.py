@@ -70,4 +70,4 @@ def test_without_a_ramp_the_last_worker_decides_and_chunks_take_as_long_as_those
 def test_chunks_under_way_take_less_but_may_take_longer_than_expected():
     rest = Plan((1, 1, 60), (1, 1, 10), ("rest",))
     assert after(rest, [2.0] * 4, 5.5, at_once=2, elapsed={4: 1.5, 5: 0.5}) == pytest.approx(1.5)
-    assert after(rest, [2.0] * 4, 14.0, at_once=2, elapsed={4: 8.0, 5: 8.0}) == pytest.approx(2.0 * 24 / 22)
+    assert after(rest, [2.0] * 4, 14.0, at_once=2, elapsed={4: 8.0, 5: 8.0}) == pytest.approx(1.0 * 24 / 22)
