@@ -294,14 +294,14 @@ def delete(job: "Job") -> None:
     "--before", "created_before", type=DAY, metavar="DATE", help="List only jobs created before DATE (UTC)."
 )
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
-@click.option("--limit", type=click.IntRange(1, sys.maxsize), help="List at most this many jobs.")
+@click.option("--limit", type=click.IntRange(1), help="List at most this many jobs.")
 @json_option
 @with_client
 def list_jobs(client: "Client", as_json: bool, pinned: bool, limit: int | None, **wanted: Any) -> None:
     """List the jobs, the newest first."""
     from service.cli import output
 
-    jobs = list(islice(client.jobs(pinned=pinned or None, **wanted), limit))
+    jobs = list(islice(client.jobs(pinned=pinned or None, **wanted), limit and min(limit, sys.maxsize)))
     click.echo(output.as_json([job.view for job in jobs]) if as_json else output.job_table(jobs))
 
 
