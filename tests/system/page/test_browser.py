@@ -695,6 +695,14 @@ def test_a_drag_with_shift_moves_the_window(browser: Any, address: str, loop: st
         page.keyboard.up("Shift")
         page.wait_for_url(re.compile(r"x0=0\.6[1-9]"))
         wait_shown(page, omega=0.6)
+        page.keyboard.down("Shift")
+        page.mouse.down()
+        page.mouse.move(box["x"] + 401, box["y"] + 300)
+        page.mouse.move(box["x"] + 5000, box["y"] + 300)  # at once beyond the edge of the data
+        page.mouse.up()
+        page.keyboard.up("Shift")
+        page.wait_for_url(re.compile("x0=0.295&x1=0.495&"))
+        page.mouse.move(box["x"] + 400, box["y"] + 300)
         page.mouse.dblclick(box["x"] + 400, box["y"] + 300)  # shows everything, and no cell
         page.get_by_role("button", name="Show everything").wait_for(state="hidden")
         page.wait_for_timeout(500)

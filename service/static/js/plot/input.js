@@ -128,12 +128,12 @@ function drawSelection(plot, from, to) {
 /** `window` with its sides `factors` times as long, what was at `from` at `to`, within `whole`; null if that is all of it. */
 export function scaled({ box }, window, whole, factors, from, to = from) {
   const side = (axis, [low, high], [least, most], i) => {
-    const centre = axis.value((axis.pixel(low) + axis.pixel(high)) / 2);
-    const [before, after] = [from, to].map((point) => axis.pixel(point?.[i] ?? centre));
-    const [start, end] = [low, high].map((value) => axis.value(before + factors[i] * (axis.pixel(value) - after)));
-    const isKept = factors[i] === 1 && (before === after || start < least || end > most); // a window that is moved keeps its size
+    const [before, after] = [from, to].map((point) => axis.pixel(point?.[i] ?? axis.value((axis.pixel(low) + axis.pixel(high)) / 2)));
+    const room = [axis.pixel(least) - axis.pixel(low), axis.pixel(most) - axis.pixel(high)];
+    const moved = clamp(before - after, Math.min(...room), Math.max(...room)); // a window that is moved keeps its size
+    const [start, end] = [low, high].map((value) => axis.value(factors[i] === 1 ? axis.pixel(value) + moved : before + factors[i] * (axis.pixel(value) - after)));
     const within = (value, limit) => (Math.abs(axis.pixel(value) - axis.pixel(limit)) < 0.5 ? limit : value); // an address is rounded
-    return isKept ? [within(low, least), within(high, most)] : [within(Math.max(least, start), least), within(Math.min(most, end), most)];
+    return [within(Math.max(least, start), least), within(Math.min(most, end), most)];
   };
   const [x0, x1] = side(box.x, [window.x0, window.x1], [whole.x0, whole.x1], 0);
   const [y0, y1] = side(box.y, [window.y0, window.y1], [whole.y0, whole.y1], 1);
