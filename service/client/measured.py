@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import warnings
 from collections.abc import Mapping
 from os import PathLike
@@ -90,9 +91,9 @@ def _table(data: Data) -> "pandas.DataFrame":
                     data, comment="#", skipinitialspace=True, index_col=False, nrows=MOST_ROWS + 1
                 )
         except (pandas.errors.ParserWarning, pandas.errors.ParserError) as error:
-            rule = "commas separate columns, points decimals"
-            line = f" ({str(error).strip()})" if isinstance(error, ValueError) else ""
-            raise BounceError(f"data: a row has more cells than there are columns{line}; {rule}") from None
+            rule = "a row has more cells than there are columns, or an open quote"
+            line = "".join(f" ({line})" for line in re.findall(r"line \d+", str(error)))
+            raise BounceError(f"data: {rule}{line}; commas separate columns, points decimals") from None
         except ValueError:
             raise BounceError(f"data: {data} is no table of columns with commas") from None
         data = read.rename(columns=str.strip)

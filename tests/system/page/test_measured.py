@@ -35,8 +35,8 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         page.locator(
             ".problem", has_text="run.csv: speed is no column here; these are gamma, omega"
         ).wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,long"])
-        page.locator(".problem", has_text="must be a number of 0 or more, not 'long'").wait_for()
+        page.evaluate(DROP, ["run.csv", "gamma,flight_time\r1,4\r1,0x4"])
+        page.locator(".problem", has_text="row 2 must be a number of 0 or more, not '0x4'").wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,4\n1,5,4,2"])
         page.locator(".problem", has_text="run.csv: row 2 has more cells than there are columns").wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time,frequency\n1,4,0"])

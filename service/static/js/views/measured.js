@@ -2,7 +2,7 @@
 
 import { requestBlob } from "../lib/api.js";
 import { announce, button, fileName, h, problemLine, resultFiles } from "../lib/dom.js";
-import { count, number, plural } from "../lib/format.js";
+import { count, number, numberIn, plural } from "../lib/format.js";
 import { AXES, SYMBOL, TWO_PI, initialValue, isSweep } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";
 import { cellBorders } from "../plot/scale.js";
@@ -103,7 +103,7 @@ export class MeasuredPoints {
 
 /** The rows of a CSV text with both values: numbers by column, NaN where a cell is empty. Throws an Error naming column or row, from 1. */
 function tableOf(text, along, value) {
-  const [names, ...rows] = text.split(/\r?\n/).map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
+  const [names, ...rows] = text.split(/\r\n?|\n/).map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
     .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1")));
   if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
   if (rows.length > MOST_ROWS) throw new Error(`has more than ${MOST_ROWS} rows`);
@@ -114,15 +114,15 @@ function tableOf(text, along, value) {
   if (inMs && !names.includes("frequency")) throw new Error("flight_time_ms needs the plate's frequency in Hz, as a column");
   const missing = [along, inMs ? "flight_time_ms" : value].find((name) => !names.includes(name));
   if (missing) throw new Error(`needs the column ${missing}${missing === "flight_time" ? " or flight_time_ms" : ""}; it has ${names.join(", ")}`);
-  const numberIn = (cell = "", name, row) => {
-    const [value, rule] = [Number(cell), name === "frequency" ? "above 0" : "of 0 or more"];
+  const valueIn = (cell = "", name, row) => {
+    const [value, rule] = [numberIn(cell), name === "frequency" ? "above 0" : "of 0 or more"];
     if (/^(nan?)?$/i.test(cell)) return NaN;
     if (Number.isFinite(value) && (value > 0 || (value === 0 && name !== "frequency"))) return value;
     throw new Error(`${name} of row ${row + 1} must be a number ${rule}, not '${cell.slice(0, 40)}'; ${RULE}`);
   };
   return rows.map((cells, i) => {
     if (cells.slice(names.length).some(Boolean)) throw new Error(`row ${i + 1} has more cells than there are columns; ${RULE}`);
-    const row = Object.fromEntries(names.map((name, k) => [name, numberIn(cells[k], name, i)]));
+    const row = Object.fromEntries(names.map((name, k) => [name, valueIn(cells[k], name, i)]));
     const radPerMs = (TWO_PI * row.frequency) / 1000;
     return inMs ? { ...row, flight_time: row.flight_time_ms * radPerMs, error: row.error * radPerMs } : row;
   }).filter((row) => Number.isFinite(row[along] + row[value]));
