@@ -1,6 +1,7 @@
 """A job of the service: its status and results, waiting for it, and the requests that change it."""
 
 import heapq
+import re
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -307,8 +308,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             gamma = selection.pop("gamma", None)
             if gamma is None and "gamma" in long:
                 raise BounceError("gamma: is required, of the cell whose flights are drawn")
-            accessor = self.diagram(**selection, start=gamma, stop=gamma).bounce
-            axes: Axes = accessor.plot_returns(ax=ax)
+            axes: Axes = self._cell_at(gamma, selection).bounce.plot_returns(ax=ax)
         elif kind == "exponents":
             axes = self.result("diagram", **selection).bounce.plot_exponents(ax=ax)
         else:
@@ -317,6 +317,13 @@ class Job(ResultReader, ResultMethods, JobStatus):
             accessor = self.result(kind, **selection, **own).bounce
             axes = accessor.plot(ax=ax, branches=given, data=data, frequency=frequency)
         return axes
+
+    def _cell_at(self, gamma: float | None, selection: Mapping[str, Any]) -> "xarray.Dataset":
+        """The diagram of the cell at gamma. Raises BounceError."""
+        try:
+            return self.diagram(**selection, start=gamma, stop=gamma)
+        except errors.BadRequest as error:  # names the limits of a window
+            raise BounceError(re.sub("^st(art|op):", "gamma:", str(error))) from None
 
     def _refresh_in_time(self, **query: str | None) -> None:
         """Refresh, waiting for an absent service; become the job that replaces this one, if any."""

@@ -99,8 +99,8 @@ def _table(data: Data) -> "pandas.DataFrame":
         data = read.rename(columns=str.strip)
     try:
         table = pandas.DataFrame(data)
-    except ValueError as error:
-        raise BounceError(f"data: its columns are no table: {error}") from None
+    except ValueError:
+        raise BounceError("data: must be a CSV file, a table or a mapping of columns as long") from None
     if len(table) > MOST_ROWS:
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:

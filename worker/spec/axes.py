@@ -1,6 +1,7 @@
 """Axes of a sweep: a number, a list of numbers, or a range."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -15,6 +16,8 @@ from pydantic import (
     Field,
     Tag,
     ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
     model_validator,
 )
 
@@ -106,23 +109,25 @@ def _to_float(value: object) -> object:
     return value + 0.0 if isinstance(value, float) else value
 
 
-def _to_int(value: object) -> object:
-    """Convert a float without a fractional part to int; the error for 200.5 proposes 200 or 201."""
+def _to_int(value: object, validate: ValidatorFunctionWrapHandler) -> object:
+    """Convert a float without a fractional part to int; the error for 200.5 proposes those near it."""
     value = _plain(value)
     if not isinstance(value, float) or not np.isfinite(value):
-        return value
-    if value != int(value):
-        low = int(np.floor(value))
-        raise BrokenRuleError(
-            "", f"must be a whole number: {low} or {low + 1}, not {describe(value)}", "type"
-        )
-    return int(value)
+        return validate(value)
+    if value == int(value):
+        return validate(int(value))
+    near = []
+    for number in (int(np.floor(value)), int(np.ceil(value))):
+        with suppress(ValidationError):
+            near.append(str(validate(number)))
+    proposed = f": {' or '.join(near)}" if near else ""
+    raise BrokenRuleError("", f"must be a whole number{proposed}, not {describe(value)}", "type")
 
 
 #: Last item of an `Annotated[float, ...]`: a finite number; text and booleans are rejected.
 NUMBER: Final = BeforeValidator(_to_float)
 #: Last item of an `Annotated[int, ...]`: a whole number; 200.0 is accepted.
-WHOLE: Final = BeforeValidator(_to_int)
+WHOLE: Final = WrapValidator(_to_int)
 
 Number = Annotated[float, NUMBER]
 

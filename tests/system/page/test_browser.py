@@ -319,8 +319,8 @@ def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any
 
 def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, address: str):
     endless = {**LOOP, "name": "Endless", "settle": 1_000_000, "protocol": {"kind": "rest"}}
-    submitted(address, endless)
-    with opened(browser, address) as page:
+    job = submitted(address, endless)
+    with opened(browser, address, expected=("404",)) as page, Client(address) as client:
         row = page.locator(".jobs li").filter(has_text="Endless")
         row.get_by_role("button", name="Cancel").click()
         row.locator("[data-state=cancelled]").wait_for()
@@ -328,7 +328,7 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         row.get_by_role("button", name="Cancel").click()
         row.locator("[data-state=cancelled]").wait_for()
         screenshot(page, "sweeps")
-        page.once("dialog", lambda dialog: dialog.accept())
+        page.once("dialog", lambda dialog: (client.job(job).delete(), dialog.accept()))  # elsewhere, too
         row.get_by_role("button", name="Delete").click()
         row.wait_for(state="detached")
         page.wait_for_function("() => document.activeElement.id === 'sweeps'")

@@ -105,6 +105,11 @@ export async function requestJson(path, options) {
   return response.status === 204 ? null : answered(response.json(), options?.signal);
 }
 
+/** Delete a job, unless that has been done elsewhere. */
+export const deleteJob = ({ id }) => requestJson(`/v1/jobs/${id}`, { method: "DELETE" }).catch((error) => {
+  if (error.status !== 404) throw error;
+});
+
 const ARRAY_TYPES = {
   float64: Float64Array, float32: Float32Array, int64: BigInt64Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
 };

@@ -1,7 +1,7 @@
 // The start page, a list of sweeps: found by name, state and model, in pages; several of them compared or deleted.
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
-import { query, requestJson } from "../lib/api.js";
+import { deleteJob, query, requestJson } from "../lib/api.js";
 import { announce, button, checkBox, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
@@ -207,9 +207,7 @@ export class SweepList {
     if (!confirm(`Delete ${plural(finished.length, "sweep")} and ${finished.length === 1 ? "its" : "their"} results: ${names}${more}?${kept}`)) return;
     const failed = [];
     for (const job of finished) {
-      await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" }).catch((error) => {
-        if (error.status !== 404) failed.push(`${titleOf(job)}: ${error.message}`);
-      });
+      await deleteJob(job).catch((error) => failed.push(`${titleOf(job)}: ${error.message}`));
     }
     if (failed.length) this.showError(new Error(failed.join("; ")));
     announce(`${plural(finished.length - failed.length, "sweep")} deleted.`);

@@ -1,7 +1,7 @@
 // A job in short: its title, its specification in a line, its progress, and the buttons to cancel, resume or delete it.
 
 import { link } from "../lib/address.js";
-import { requestJson } from "../lib/api.js";
+import { deleteJob, requestJson } from "../lib/api.js";
 import { h, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisText, axisValues } from "../lib/physics.js";
@@ -122,7 +122,7 @@ function showActions(root, job, on) {
   const run = async (action) => {
     if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
     if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
-    await requestJson(`/v1/jobs/${job.id}`, { method: "DELETE" });
+    await deleteJob(job);
     on.delete();
   };
   const title = (action) => action[0].toUpperCase() + action.slice(1);

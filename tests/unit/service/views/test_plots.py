@@ -76,8 +76,9 @@ def test_a_return_map_has_each_flight_over_the_one_before(job: Job, ax: Axes):
     flights = job.diagram(omega=0.6, direction="down").flight_time.sel(gamma=1.4).values
     pairs = np.stack([flights[:-1], flights[1:]])
     np.testing.assert_array_equal(ax.lines[0].get_data(), pairs[:, np.isfinite(pairs).all(axis=0)])
-    with pytest.raises(BounceError, match="gamma: is required"):
-        job.plot("return", omega=0.6)
+    for gamma, rule in ((None, "gamma: is required"), (9.0, "gamma: must not be above the axis")):
+        with pytest.raises(BounceError, match=rule):
+            job.plot("return", gamma=gamma, omega=0.6)
 
 
 def test_exponents_are_drawn_along_the_axis(python_client: Client, ax: Axes):
