@@ -74,7 +74,7 @@ def turned(point: Point, along: str, gamma: float) -> Point:
 def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int = POINTS) -> list[Followed]:
     """The branches through the cycles whose parameter lies in `span`, each branch once.
 
-    If there is no such cycle, the first branch that reaches `span` from a cycle outside.
+    Then those that reach `span` from a cycle outside.
     """
     followed: list[Followed] = []
     outside: list[Point] = []
@@ -89,18 +89,23 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
             outside.append(seed)
         elif not any(lies_on(seed, line) for line in followed):
             followed.append(both_ways(seed, span, points, joins))
-    if followed:
-        return followed
-    inside = next(filter(None, (_from_outside(seed, span, points) for seed in outside)), None)
-    return [] if inside is None else [both_ways(inside, span, points)]
+    ways: list[Followed] = []
+    for seed in outside:
+        if any(lies_on(seed, way) for way in ways):
+            continue
+        ways.append(_from_outside(seed, span, points))
+        first = ways[-1].points[-1]
+        inside = span[0] <= first.parameter <= span[1]
+        if inside and not any(lies_on(first, line) for line in followed):
+            followed.append(both_ways(first, span, points))
+    return followed
 
 
-def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Point | None:
-    """The first cycle within `span` on the branch through a cycle outside."""
+def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Followed:
+    """The branch through a cycle outside of `span`, up to the first cycle within, if there is one."""
     edge = span[0] if seed.parameter < span[0] else span[1]
     low, high = sorted((seed.parameter, edge))
-    last = follow(seed, edge - seed.parameter, points=points, span=(low, high)).points[-1]
-    return last if span[0] <= last.parameter <= span[1] else None
+    return follow(seed, edge - seed.parameter, points=points, span=(low, high))
 
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:

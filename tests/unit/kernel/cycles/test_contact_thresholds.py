@@ -17,6 +17,7 @@ TABLE = [
     (rigid(0.5), 0.66, 0.05, 0.695395334976, 0.805215730572),
     (rigid(0.9), 0.60, 0.05, 0.393179810088, math.nan),  # of three hops, never stuck
     (rigid(0.875), 0.62, 0.05, 0.447349850115, math.nan),  # stable up to a flip, Gamma = 0.44751
+    (rigid(0.7), 2.20, 0.05, 1.755795045174, math.nan),  # found from a cycle at higher Gamma than is followed
 ]
 
 
