@@ -22,7 +22,7 @@ from kernel.interface import prepare
 from kernel.params import Cell
 
 #: Branches are followed up to this many times the Gamma at which rest ends: past folds where flights leap.
-_REACH: Final = 1.5
+_REACH: Final = 3.0
 
 #: Distances above a fold of the closed form, relative, at which a cycle of the contact is sought.
 _ABOVE: Final = (1e-3, 1e-2)

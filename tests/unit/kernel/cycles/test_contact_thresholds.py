@@ -17,7 +17,9 @@ TABLE = [
     (rigid(0.5), 0.66, 0.05, 0.695395334976, 0.805215730572),
     (rigid(0.9), 0.60, 0.05, 0.393179810088, math.nan),  # of three hops, never stuck
     (rigid(0.875), 0.62, 0.05, 0.447349850115, math.nan),  # stable up to a flip, Gamma = 0.44751
-    (rigid(0.7), 2.20, 0.05, 1.755795045174, math.nan),  # found from a cycle at higher Gamma than is followed
+    # the branch comes from beyond Eq. 25, and once goes there again
+    (rigid(0.7), 2.20, 0.05, 1.755795045174, math.nan),
+    (rigid(0.8), 2.2, 0.05, 1.3451293388224, math.nan),
 ]
 
 
@@ -36,10 +38,10 @@ def test_a_fold_is_of_its_shortest_cycle():
 
 
 def test_a_fold_with_a_pair_of_multipliers_outside_the_unit_circle_decides_nothing():
-    """At 0.376615 they are 0.9285 +- 0.5707i: the modulus is 1.09."""
-    answer = thresholds_of(soft(0.8884, 6.59e-3), 0.8767, 0.0468)
+    """At 0.356141 they are 1.1396 +- 0.1884i: the modulus is 1.16."""
+    answer = thresholds_of(soft(0.894, 1.54e-3), 0.896, 0.0489)
     assert answer.cause == UNRESOLVED
-    assert "the fold of (5,1) at Gamma = 0.376615 is unstable on both sides" in answer.reason
+    assert "the fold of (5,1) at Gamma = 0.356141 is unstable on both sides" in answer.reason
 
 
 def test_bouncing_ends_with_rest_where_no_fold_is_below():
