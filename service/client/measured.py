@@ -96,7 +96,8 @@ def _table(data: Data) -> "pandas.DataFrame":
             raise BounceError(f"data: {rule}{line}; commas separate columns, points decimals") from None
         except ValueError:
             raise BounceError(f"data: {data} is no table of columns with commas") from None
-        data = read.rename(columns=str.strip)
+        unnamed = read.columns.str.startswith("Unnamed: ") & read.isna().all()  # below a comma too many
+        data = read.loc[:, ~unnamed].rename(columns=str.strip)
     try:
         table = pandas.DataFrame(data)
     except ValueError:

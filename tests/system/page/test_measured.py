@@ -41,7 +41,7 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         page.locator(".problem", has_text="run.csv: row 2 has more cells than there are columns").wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time,frequency\n1,4,0"])
         page.locator(".problem", has_text="frequency of row 1 must be a number above 0").wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,omega,flight_time\n1,0.6,4,\n1,0.9,4\n1,NaN,4"])
+        page.evaluate(DROP, ["run.csv", "gamma,omega,flight_time,\n1,0.6,4,\n1,0.9,4\n1,n/a,4"])
         page.locator(".measured", has_text=re.compile("2 of 2 points.*; 1 of another Ω or ξ left")).wait_for()
         page.get_by_text("Measured points", exact=True).press("Enter")
         (tmp_path / "run.csv").write_text(table)

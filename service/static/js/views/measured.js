@@ -105,6 +105,7 @@ export class MeasuredPoints {
 function tableOf(text, along, value) {
   const [names, ...rows] = text.split(/\r\n?|\n/).map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
     .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1")));
+  while (names?.at(-1) === "") names.pop(); // below a comma too many
   if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
   if (rows.length > MOST_ROWS) throw new Error(`has more than ${MOST_ROWS} rows`);
   const unknown = names.find((name, i) => !COLUMNS.includes(name) || names.indexOf(name) < i);
@@ -116,7 +117,7 @@ function tableOf(text, along, value) {
   if (missing) throw new Error(`needs the column ${missing}${missing === "flight_time" ? " or flight_time_ms" : ""}; it has ${names.join(", ")}`);
   const valueIn = (cell = "", name, row) => {
     const [value, rule] = [numberIn(cell), name === "frequency" ? "above 0" : "of 0 or more"];
-    if (/^(nan?)?$/i.test(cell)) return NaN;
+    if (/^(nan?|n\/a|null|none)?$/i.test(cell)) return NaN;
     if (Number.isFinite(value) && (value > 0 || (value === 0 && name !== "frequency"))) return value;
     throw new Error(`${name} of row ${row + 1} must be a number ${rule}, not '${cell.slice(0, 40)}'; ${RULE}`);
   };

@@ -137,9 +137,10 @@ def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
     A row without both values is no point: it has no residual, as on the page.
     """
     file = tmp_path / "measured.csv"
-    file.write_text("omega,gamma,flight_time\n0.6,1.5,4.2,\n0.6,2.0,NaN,\n0.6,,,\n")
-    points = measured(file, "gamma", "flight_time", {"omega": 0.6})
-    np.testing.assert_array_equal(points, [[1.5], [4.2], [math.nan]])
+    for comma in ("", ","):
+        file.write_text(f"omega,gamma,flight_time{comma}\n0.6,1.5,4.2,\n0.6,2.0,n/a,\n0.6,,,\n")
+        points = measured(file, "gamma", "flight_time", {"omega": 0.6})
+        np.testing.assert_array_equal(points, [[1.5], [4.2], [math.nan]])
     assert '"value": "flight_time"' in element(file)  # thresholds have columns of these names too
     for text, rule in (
         ("gamma,flight_time\n1,4\n1,5,4,2\n", r"more cells than there are columns.* \(line 3\); commas"),
