@@ -1324,7 +1324,7 @@ def _wait_complete(page: Any, path: str) -> None:
         return
     page.locator(".player[data-phase]").wait_for()
     if "/explore" in path:
-        page.get_by_text("flights").wait_for()
+        page.get_by_text(re.compile("of flights[.]$")).wait_for()
     elif "/details" not in path:
         page.locator(".panel .plot[data-shown]").wait_for()
 
