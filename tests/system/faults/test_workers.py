@@ -88,7 +88,7 @@ def test_only_the_job_to_blame_fails(tmp_path: Path, fragile: Dask):
     """Chunks that hang, exceed the memory, crash and raise, all at once, beside two jobs without any."""
     wait_until_ready(fragile)
     tries = 2  # a chunk may be slow or unlucky once
-    terms = {"chunk_seconds": HUNG, "chunk_tries": tries}
+    terms = {"chunk_seconds": HUNG, "chunk_slack": 1.0, "chunk_tries": tries}
     with running(tmp_path, fragile, **terms) as service:
         bad = {
             name: service.submit(costing(f"{name}:2", omega=omega))
