@@ -165,14 +165,14 @@ def _verify(preparer: JobPreparer, ledger: Ledger | str, job: JobRecord, done: l
             if done:
                 repair_metadata(ledger, job, prepared)
         damaged = find_damage(prepared, done) if done else []
+        if not damaged:
+            return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True
+        if not isinstance(ledger, Ledger):
+            fate = f"{ledger} to have them computed again"
+            return f"{job.id}: damaged: {describe(prepared, damaged)}: {fate}", False
+        return f"{job.id}: {repair(ledger, preparer, job.id, damaged).detail}", False
     except (store.StoreError, LedgerUnusable, OSError) as error:
         return f"{job.id}: {error}", False
-    if not damaged:
-        return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True
-    if not isinstance(ledger, Ledger):
-        fate = f"{ledger} to have them computed again"
-        return f"{job.id}: damaged: {describe(prepared, damaged)}: {fate}", False
-    return f"{job.id}: {repair(ledger, preparer, job.id, damaged).detail}", False
 
 
 def _service(url: str) -> Finding:

@@ -290,6 +290,18 @@ def test_of_every_study_only_damaged_chunks_are_computed_again(
         assert len(set(service.executor.tried)) == 2  # perhaps in several slices
 
 
+def test_the_doctor_goes_on_after_damage_that_cannot_be_removed(tmp_path: Path):
+    with running(tmp_path) as service:
+        jobs = [service.submit(SWEEP | {"keep": keep}) for keep in (1, 2)]
+        chunks = [service.store(here) / "flight_time/c.0.0.0.0.0" for here in jobs]
+    for chunk in chunks:
+        chunk.unlink()
+        chunk.mkdir()
+    found = [finding.text for finding in verify(Settings(data=tmp_path), None) if not finding.ok]
+    assert len(found) == 2
+    assert all(str(chunk) in "".join(found) for chunk in chunks)
+
+
 def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
     """The job is half done when the end state from which it continues is lost."""
     with running(tmp_path) as service:
