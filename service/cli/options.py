@@ -223,5 +223,6 @@ def _message(error: Exception) -> str | None:
         return missing
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)
-        return f"{error.filename}: {reason}" if error.filename else reason
+        path = error.filename2 or error.filename  # the target of a renaming
+        return f"{path}: {reason}" if path else reason
     return None

@@ -1,11 +1,13 @@
 """What the commands print of jobs and estimates that are made up here."""
 
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
 import xarray
 
+from service.cli.options import _message
 from service.cli.output import estimate_line, job_report
 from service.cli.views import table
 from service.client import Job
@@ -104,3 +106,12 @@ def test_a_table_of_flights_has_their_exponents_and_one_without_rows_says_none()
     assert head.split() == ["omega", "flight", "flight_time", "lyapunov_1", "lyapunov_2"]
     assert row.split() == ["0.5", "0", "1", "0.1", "-2"]
     assert table(result.isel(omega=[]), ["flight_time"]).endswith(": none")
+
+
+def test_an_error_of_renaming_names_the_target(tmp_path: Path):
+    results, target = tmp_path / "results", tmp_path / "target"
+    results.mkdir()
+    target.touch()
+    with pytest.raises(NotADirectoryError) as raised:
+        results.rename(target)
+    assert _message(raised.value) == f"{target}: Not a directory"
