@@ -228,9 +228,8 @@ class SweepSpec(Specification):
         if not low <= rest_length <= high:
             depths = f"gives contacts {extremes[0]:.3g} to {extremes[1]:.3g} plate amplitudes deep"
             allowed = f"allowed are {MIN_PENETRATION:g} to {MAX_PENETRATION:g}"
-            high = min(high, MAX_REST_LENGTH)
-            rounded = f"{1.001 * low:.4g} to {0.999 * high:.4g} works"  # inside the limits
-            remedy = rounded if low <= high else "narrow gamma or omega"
+            low, high = 1.001 * low, 0.999 * min(high, MAX_REST_LENGTH)  # rounded, inside the limits
+            remedy = f"{low:.4g} to {high:.4g} works" if low <= high else "narrow gamma or omega"
             rule = f"{depths}, {allowed}; {remedy}"
             raise BrokenRuleError("model.rest_length", rule)
 

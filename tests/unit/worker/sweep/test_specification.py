@@ -191,6 +191,11 @@ def test_both_rest_lengths_that_a_refusal_names_work(grid, refused):
         assert sweep(**grid, model={"rest_length": float(end)})
 
 
+def test_a_grid_of_depths_as_wide_as_the_limits_is_to_be_narrowed():
+    said = message(gamma=[1e-6, 1e6], omega=0.5, model={"rest_length": 1e12})
+    assert said.endswith("; narrow gamma or omega")
+
+
 @given(
     st.floats(1e-6, 1e6), st.floats(1e-6, 1e6), st.integers(2, 300), st.sampled_from(["linear", "log"])
 )  # fmt: skip
