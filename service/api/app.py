@@ -40,9 +40,6 @@ SMALL_READS: Final = 2
 SMALL_MEMORY: Final = 128 * 2**20
 MOST_SMALL: Final = 1_000
 
-#: Title of the API document, which identifies a service of this project.
-TITLE: Final = "bouncing-spring"
-
 
 def create_app(settings: Settings, executor: Executor, background: Background | None = None) -> FastAPI:
     """The service as an ASGI application that computes jobs on `executor` and answers in the `background`.
@@ -73,7 +70,7 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
             raise
 
     app = FastAPI(
-        title=TITLE,
+        title="bouncing-spring",
         summary="Parameter studies of the bouncing spring: bifurcation diagrams, thresholds, hysteresis.",
         version=software().release,
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
