@@ -159,14 +159,15 @@ def _verify(preparer: JobPreparer, ledger: Ledger | str, job: JobRecord, done: l
     ledger: what hinders its use, where it only is read.
     """
     try:
-        prepared = preparer.prepare(job)
+        prepared, mended = preparer.prepare(job), ""
         if isinstance(ledger, Ledger):
             store.sweep_leftovers(prepared.store_url)
-            if done:
-                repair_metadata(ledger, job, prepared)
+            if done and (keys := repair_metadata(ledger, job, prepared)):
+                mended = f"; metadata that differed are rewritten: {', '.join(keys)}"
         damaged = find_damage(prepared, done) if done else []
         if not damaged:
-            return f"{job.id}: {len(done)} {'chunk is' if len(done) == 1 else 'chunks are'} sound", True
+            sound = "chunk is sound" if len(done) == 1 else "chunks are sound"
+            return f"{job.id}: {len(done)} {sound}{mended}", True
         if not isinstance(ledger, Ledger):
             fate = f"{ledger} to have them computed again"
             return f"{job.id}: damaged: {describe(prepared, damaged)}: {fate}", False

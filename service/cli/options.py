@@ -185,7 +185,7 @@ def format_option(*formats: str) -> Callable[[Command], Command]:
 def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:
     """`format`, or the one that the ending of the output file stands for.
 
-    Raises click.BadParameter for another ending, none, or a missing folder, before anything is computed.
+    Raises click.BadParameter for another ending, none, a folder, or none around it, before computing.
     """
     if output == "-" and format is None:
         asks = click.get_current_context().params.get("format", "") is None
@@ -198,6 +198,8 @@ def output_format(output: str, formats: tuple[str, ...], format: str | None = No
         )
     if not Path(output).parent.is_dir():
         raise click.BadParameter(f"there is no folder {Path(output).parent}", param_hint="'-o'")
+    if ending != "zarr" and Path(output).is_dir():
+        raise click.BadParameter(f"{output} is a folder", param_hint="'-o'")
     return ending
 
 

@@ -222,8 +222,9 @@ def _judged(
     compared = ~np.isnan(errors)
     repeating = np.isin(outcome, (Outcome.AT_REST, Outcome.PERIODIC))
     differs = ~(errors <= _auto(spec).tolerance)
-    # a cell whose exact run failed may be beyond the tolerance
-    beyond = int(np.count_nonzero(differs & (repeating | ~compared)))
+    # a cell whose exact run failed may be beyond the tolerance; one that bounces by one contact alone is
+    surely = repeating | np.isinf(errors)
+    beyond = int(np.count_nonzero(differs & (surely | ~compared)))
     most = None
     if spec.ramp_axis is None:
         most = bounds(beyond, beyond, len(errors), math.prod(spec.shape), below=BELOW)[1]
@@ -232,7 +233,7 @@ def _judged(
         median=percentile(errors[compared], 50.0), percentile_95=percentile(errors[compared], 95.0),
         cells=int(np.count_nonzero(compared)), drawn=len(errors), beyond=beyond, most=most,
         repeating=int(np.count_nonzero(repeating)),
-        unlike=int(np.count_nonzero(differs & compared & ~repeating)),
+        unlike=int(np.count_nonzero(differs & compared & ~surely)),
         resting=int(np.count_nonzero(outcome == Outcome.AT_REST)),
     )  # fmt: skip
 

@@ -61,10 +61,14 @@ def describe(prepared: PreparedJob, damaged: Sequence[ChunkCoords]) -> str:
     return f"{'; '.join(map(prepared.describe, chunks))}{more}" if chunks else "the store's metadata"
 
 
-def repair_metadata(ledger: Ledger, job: JobRecord, prepared: PreparedJob) -> None:
-    """Rewrite damaged metadata and coordinates, but not those of an outdated job, which differ."""
-    if not job.outdated and store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes):
+def repair_metadata(ledger: Ledger, job: JobRecord, prepared: PreparedJob) -> list[str]:
+    """Rewrite damaged metadata and coordinates, but not those of an outdated job, which differ: the keys."""
+    if job.outdated:
+        return []
+    rewritten = store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
+    if rewritten:
         remove_if_deleted(ledger, job)
+    return rewritten
 
 
 def _invalidate(ledger: Ledger, job: JobRecord, prepared: PreparedJob, chunks: Sequence[int]) -> list[int]:

@@ -189,8 +189,10 @@ def test_pinned_jobs_are_listed_apart(idle: Running):
 
 def test_values_that_an_option_cannot_have_are_wrong_options(idle: Running, tmp_path: Path):
     (file := tmp_path / "sweep.json").write_text("{}")
+    (folder := tmp_path / "a.csv").mkdir()
     wrong = (
-        ("list", "--limit", "0"), ("submit", str(file), "--effort", "abc"),
+        ("modes", idle.job.id, "-o", str(folder)), ("list", "--limit", "0"),
+        ("submit", str(file), "--effort", "abc"),
         ("wait", "a" * 16, "--timeout", "nan"),
     )  # fmt: skip
     for words in wrong:

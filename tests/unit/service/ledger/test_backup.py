@@ -198,7 +198,8 @@ def test_the_doctor_verifies_all_results_and_has_damage_computed_again(folder: P
         assert "damaged: chunk 3 (rest, " in lines[2]
         assert "omega/c/0: is not what the store's specification says" in lines[1]
     assert "a service uses the folder" in lines[2]
-    assert verify(jobs[1]) == [f"ok  job               {jobs[1]}: 8 chunks are sound"]
+    mended = "metadata that differed are rewritten: omega/c/0"
+    assert verify(jobs[1]) == [f"ok  job               {jobs[1]}: 8 chunks are sound; {mended}"]
     [line] = verify(jobs[0])
     assert "stored results are damaged and computed again: chunk 3 (rest, " in line
     with closing(Scripted()) as executor, running(data, executor) as service:
