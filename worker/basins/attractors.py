@@ -29,9 +29,9 @@ SAME_CYCLE: Final = 1e-4
 #: Starts per run, few enough to lose little and use little memory. A multiple of `kernel.params.LANES`.
 BLOCK: Final = 2048
 
-#: Flights of a window in which a cycle is sought: the kernel finds cycles of up to a third as many. Above
-#: ELASTIC chatter has more hops than that, and hides the flights that count.
-CYCLE_FLIGHTS, CHATTER_FLIGHTS, ELASTIC = 256, 4096, 0.9
+#: Flights of a window in which a cycle is sought: the kernel finds cycles of up to a third as many. With
+#: rebound the hops after each landing take their place, and hide the flights that count.
+CYCLE_FLIGHTS, CHATTER_FLIGHTS = 256, 4096
 
 #: Flights of a start without a cycle that estimate its distribution.
 START_FLIGHTS: Final = 64
@@ -92,7 +92,7 @@ class Request(NamedTuple):
 
 def sizes_of_runs(model: Contact) -> tuple[int, int]:
     """Starts of a run on this contact, and flights kept of each: a product that is the same for all."""
-    keep = CHATTER_FLIGHTS if (getattr(model, "restitution", None) or 0.0) > ELASTIC else CYCLE_FLIGHTS
+    keep = CYCLE_FLIGHTS if getattr(model, "restitution", 0.0) == 0.0 else CHATTER_FLIGHTS
     return BLOCK * CYCLE_FLIGHTS // keep, keep
 
 

@@ -48,6 +48,14 @@ def test_chatter_hides_no_flight_of_a_cycle(tmp_path: Path, kind: str):
     assert cell.longest_flight.values[:4] == pytest.approx([0.526457, 12.39129, 0.354193, 14.83418], abs=1e-5)
 
 
+def test_hops_hide_no_long_cycle(tmp_path: Path):
+    """The cycle of 48 flights that count has 44 hops, in which it is sought too."""
+    model = {"kind": "rigid", "restitution": 0.3}
+    fields = {"gamma": 1.25, "omega": 0.62, "xi": 0.05, "model": model, "settle": 800, "observe": 150}
+    cell = computed(str(tmp_path / "a.zarr"), multistability(**fields, rows=1, columns=2)).squeeze()
+    assert (int(cell.attractor_count), int(cell.bounces[0]), int(cell.periods[0])) == (1, 48, 16)
+
+
 def test_a_cycle_ends_within_one_step_of_its_fold(tmp_path: Path):
     """(1,1) at omega 0.6, xi 0.05 begins in a fold at gamma 0.5532, beside rest."""
     events = fold_events(0.6, 0.05, 1, 1.0)
