@@ -61,8 +61,9 @@ _CURVES_SECONDS, _BOUNCY = 6.0, 0.3
 _SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 40
 #: A zero farther along a branch is another event.
 _FAR: Final = 0.2
-#: A curve passes through an event within this, in Gamma and rad.
-_NEAR_CURVE: Final = 1e-2
+#: A curve passes through an event within this, in Gamma and rad; through one of more or fewer flights within
+#: the second: those of many hops lie close together.
+_NEAR_CURVE, _ON_CURVE = 1e-2, 1e-4
 
 
 class Skipped(NamedTuple):
@@ -347,6 +348,8 @@ def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -
     for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
         part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
         a, b = np.array(points[i : i + 2])
-        if np.abs(a + part * (b - a) - place).max() < _NEAR_CURVE:
+        as_many = any(len(x.point.flights) == len(event.point.flights) for x in curve[i : i + 2])
+        near = _NEAR_CURVE if as_many else _ON_CURVE
+        if np.abs(a + part * (b - a) - place).max() < near:
             return True
     return False

@@ -167,6 +167,18 @@ def test_curves_of_a_contact_end_before_their_cusp(python_client: Client):
         assert events.count("fold") == (curves.omega.max("point") >= omega).sum() == folds
 
 
+def test_curves_of_many_hops_lie_close_together(python_client: Client):
+    """Each fold of the branches is on one of its own."""
+    spring = {"modes": "1-1", "model": "rigid", "restitution": 0.7, "omega": 0.6, "gamma_max": 4.0}
+    curves = python_client.curves(**spring, progress=False, kinds="fold", xi_start=0.05, xi_stop=0.08)
+    events = python_client.orbits(**spring, xi=0.065)
+    points = np.stack([curves.xi.values, curves.gamma.values], axis=1)
+    at = [np.interp(0.065, *curve[:, np.isfinite(curve[0])]) for curve in points]
+    folds = events.event_gamma.values[events.event_kind.values == "fold"]
+    assert len(folds) > 10
+    assert np.abs(folds[:, None] - at).min(axis=1).max() < 1e-6
+
+
 def test_curves_are_held_to_a_limit(client: TestClient, monkeypatch: pytest.MonkeyPatch):
     """By their estimate before they are computed, by their points while they are."""
     query = {"xi": 0.05, "omega_start": 0.1, "omega_stop": 0.12, "modes": "1-1,1-2"}
