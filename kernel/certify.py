@@ -59,7 +59,6 @@ DEFECT: Final = 0.5  # of the map from its linear part, over the contraction tha
 #: those by LEAST are taken, about as small as rounding is.
 FLOOR: Final = 5e-13
 GROWTH: Final = 5.0
-LARGE: Final = 100.0
 SHIFT: Final = 1e-13
 LEAST: Final = 1e-15
 
@@ -460,7 +459,7 @@ def _accept(
             return run
     repeats = _difference(cycle, 0, half, total, flights, part)
     growth = _growth(cell, start, periods, total, window, attempt, SHIFT)
-    if growth > LARGE:  # changes may cancel; where much depends on it, others are tried
+    if growth > GROWTH:  # changes may cancel: others are tried
         growth = max(growth, _growth(cell, start, periods, total, window, attempt, -SHIFT))
     if growth == math.inf:
         growth = _growth(cell, start, periods, total, window, attempt, LEAST)
@@ -520,23 +519,23 @@ def _growth(
 
     Each is relative, of the state, and absolute, of the phase. What rounding does at the section may be
     forgotten where the cycle sticks; what it does after that may grow until the cycle sticks again. total:
-    flights of two turns. inf if the changed flights are no longer near. shift: the first of the phase, which
-    changes its sign from phase to phase.
+    flights of two turns. inf if the changed flights are no longer near. shift: of the phase at a take-off; at
+    a landing half as much in the other sense, as changes at the ends of a short phase would cancel.
     """
-    run, flights = _from(start, attempt.y), total // 2
+    run, flights, size = _from(start, attempt.y), total // 2, abs(shift)
+    more, less = 1.0 + size, 1.0 - size
     for _ in range(2):
         run = changed(run, recorded=0)
         while run.recorded < flights:
-            x, shift, size = run.state, -shift, abs(shift)
-            more, less = 1.0 + size, 1.0 - size
-            state = State(more * x.gap, more * x.gap1, less * x.q, (1.0 + shift) * x.q1)
-            run = changed(run, phase=run.phase + shift, state=state)
+            x, change = run.state, shift if run.in_flight else -0.5 * shift
+            state = State(more * x.gap, more * x.gap1, less * x.q, (1.0 + change) * x.q1)
+            run = changed(run, phase=run.phase + change, state=state)
             p = phase_of(cell, plate_phase(run.phase), run, TWO_PI * (periods + 1))
             run = record(run, p, window, attempt.cycle, 0)
             if run.ending != ROOT:
                 return math.inf
     difference = _difference(attempt.cycle, 0, flights, total, flights, 0)
-    return difference / abs(shift) if difference <= NEAR else math.inf
+    return difference / size if difference <= NEAR else math.inf
 
 
 @jit
