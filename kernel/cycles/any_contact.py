@@ -3,7 +3,7 @@
 The search begins at cycles of the closed form, which holds for an ideal plate with restitution 0. The contact
 goes through one round from the same state, and Newton's method finds the contact's own cycle nearby. With
 rebound the cycles of one mode lie on several branches: besides cycles that stick there are families of a few
-hops that never do.
+hops that never do, whose cycle of one flight has a closed form too.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -15,7 +15,13 @@ import numpy as np
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, branch, events_of, join_events
 from kernel.cycles.follow import POINTS, RANGE, End, Event, Followed, ahead, follow
-from kernel.cycles.starts import CycleStart, stable_ranges, start_on_cycle, start_on_stable_cycle
+from kernel.cycles.starts import (
+    CycleStart,
+    stable_ranges,
+    start_on_cycle,
+    start_on_stable_cycle,
+    starts_between_landings,
+)
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
 
@@ -169,6 +175,9 @@ def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
         points = [point for start in starts if (point := beside(plate, start, periods)) is not None]
         # far away from these, its own cycles may still attract
         yield from points or filter(None, (beside(plate, start, periods, _ROUNDS) for start in starts))
+    hops = starts_between_landings(omega, xi, periods, float(plate.restitution[0]))
+    never_stuck = (cycle_from(plate, start.cell, periods, start.state) for start in hops)
+    yield from islice((point for point in never_stuck if point is not None and not repeats(point)), 1)
 
 
 def beside(plate: Any, start: CycleStart | None, periods: int, rounds: int = 0) -> Point | None:

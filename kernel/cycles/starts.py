@@ -4,6 +4,8 @@ The state is exact for an ideal plate with restitution 0. Other contacts start f
 and velocities, near a cycle of their own.
 """
 
+import math
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,10 +15,13 @@ from kernel.cycles.closed_form import TWO_PI, gamma_and_slope, orbit
 from kernel.cycles.events import Branch, branch, flight_times, rows_of
 from kernel.cycles.roots import Floats, roots, stretches
 from kernel.cycles.spring import flight, spring, stuck
+from kernel.numerics.oscillator import oscillator, response
 from kernel.params import Cell, Start
 
 #: A cycle of the closed form is one of the cell if it is within this in Gamma, relative.
 _SAME_CELL: Final = 1e-10
+#: Velocities of the plate at the landing of cycles that never stick, parts of the largest.
+_LANDING: Final = (0.95, 0.8, 0.6, 0.4)
 
 
 class CycleStart(NamedTuple):
@@ -64,6 +69,25 @@ def start_on_cycle(cell: Cell, periods: int, flight_time: float) -> CycleStart |
     if not len(line.flight_time):
         return None
     return _start(cell, line, int(np.argmin(np.abs(line.flight_time - flight_time))))
+
+
+def starts_between_landings(omega: float, xi: float, periods: int, restitution: float) -> Iterator[Start]:
+    """Starts on cycles of one flight that never stick, after their landing on an ideal plate with rebound.
+
+    There are two at each Gamma above the one at which they land where the plate is fastest.
+    """
+    w, time = 1.0 / omega**2, TWO_PI * periods
+    c, s, s1 = response(oscillator(2.0 * xi / omega, 2.0 * w), time)
+    impact = 2.0 * time / (1.0 + restitution)  # this and what follows are Gamma times the values of the cycle
+    q = -2.0 * time / ((1.0 - c) * (1.0 - s1) / s + 2.0 * w * s)
+    q1 = q * (1.0 - c) / s
+    sine = restitution * impact + 0.5 * (q1 - time)
+    for part in _LANDING:
+        gamma = abs(sine) / part
+        phase = math.asin(sine / gamma)
+        for landing in (phase % TWO_PI, (math.pi - phase) % TWO_PI):
+            state = [landing, 1.0, 0.0, restitution * impact / gamma, q / gamma, q1 / gamma]
+            yield Start(np.array(state), Cell(gamma, omega, xi))
 
 
 def stable_ranges(omega: float, xi: float, periods: int) -> list[tuple[float, float]]:

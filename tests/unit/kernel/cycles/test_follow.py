@@ -68,6 +68,12 @@ def test_a_family_of_hops_that_never_sticks():
     assert pytest.approx(gammas(hops, FLIP)[0], abs=1e-9) == 0.427801679385
 
 
+@pytest.mark.parametrize("omega", [0.58, 0.593, 0.61])
+def test_a_family_without_a_stable_cycle_near_those_of_the_closed_form(omega):
+    _, hops = branches(rigid(0.7), omega, 0.05, 1)
+    assert {point.letters for point in hops.points} >= {"h", "hh", "hhh"}
+
+
 @pytest.mark.parametrize(
     ("plate", "omega", "along", "span", "turn"),
     [
