@@ -27,6 +27,7 @@ from worker.analysis.prediction import (
     prediction_seconds,
     search_below,
 )
+from worker.spec.axes import Axis, Strict, values_of
 from worker.spec.contact_models import Contact, Rigid
 from worker.spec.errors import problems_of
 
@@ -188,25 +189,29 @@ class GridQuery(SearchQuery):
     xi: Values
 
 
+class _Axes(Strict):
+    """The axes of a grid, each an axis as of a sweep."""
+
+    omega: Axis = 1.0
+    xi: Axis = 0.0
+
+
 def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
-    """The values of an axis, written as numbers or start:stop:number. Raises InvalidRequest."""
+    """The values of an axis, as numbers or start:stop:number. Raises InvalidRequest or SpecInvalid."""
     text = getattr(query, name)
     if re.fullmatch(r"\d+,\d+", text.strip()):  # 0,26 is 0.26 to many; 0.5,0.6 and 1, 2 are lists
         rule = f"write a decimal point, as {text.replace(',', '.')}, or a space between two values"
         raise InvalidRequest.of(name, rule)
+    axis: Any
     try:
         if ":" in text:
             start, stop, number = text.split(":")
-            values = np.linspace(float(start), float(stop), min(int(number), int(MAX_GRID_SECONDS) + 1))
+            axis = {"start": float(start), "stop": float(stop), "num": int(number)}
         else:
-            values = np.array([float(part) for part in text.split(",")])
+            axis = [float(part) for part in text.split(",")]
     except ValueError:
-        values = np.empty(0)
-    if not (len(values) and np.isfinite(values).all()):
-        raise InvalidRequest.of(name, "must be numbers, as 0.45,0.46, or start:stop:number")
-    if not (np.diff(values) > 0.0).all():
-        raise InvalidRequest.of(name, "must increase")
-    return values
+        raise InvalidRequest.of(name, "must be numbers, as 0.45,0.46, or start:stop:number") from None
+    return values_of(getattr(_Axes(**{name: axis}), name))
 
 
 def _springs(query: GridQuery) -> list[SpringQuery]:
