@@ -50,10 +50,11 @@ LOWEST: Final = 3
 
 #: Kinds of events whose curves are followed for any contact.
 CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
-#: Values of the parameter at which curves are sought, steps over its range, and the smallest part of a step.
+#: Values of the parameter at which curves are sought, steps over its range, and the smallest parts of a step:
+#: the least that is tried, and that of rounding at an end of the range.
 SECTIONS: Final = 5
 STEPS: Final = 60
-_LEAST_STEP: Final = 0.05
+_LEAST_STEP, _ROUNDING = 0.05, 1e-9
 #: Most core-seconds of the curves of a mode up to a restitution of 1 - _BOUNCY. Beyond it they grow as the
 #: number of hops after a landing, 1/(1 - restitution).
 _CURVES_SECONDS, _BOUNCY = 6.0, 0.3
@@ -64,6 +65,8 @@ _FAR: Final = 0.2
 #: A curve passes through an event within this, in Gamma and rad; through one of more or fewer flights within
 #: the second: those of many hops lie close together.
 _NEAR_CURVE, _ON_CURVE = 1e-2, 1e-4
+#: Points each way within which the segments of a cycle change beside an event that is lost.
+_BESIDE: Final = 40
 
 
 class Skipped(NamedTuple):
@@ -300,20 +303,41 @@ def follow_curves(
 
 def _along(event: Event, along: Parameter, step: float, span: tuple[float, float]) -> Iterator[Event]:
     """The same event at further values of a parameter, `step` apart, or less to keep it."""
-    smallest = abs(step) * _LEAST_STEP
-    last, slope = event.point, np.zeros_like(event.point.x)  # of the unknowns by the parameter
-    while abs(step) > smallest:
-        value = getattr(last.cycles, along) + step
-        if not span[0] - 1e-12 <= value <= span[1] + 1e-12:
+    largest = abs(step)
+    last, slope, changed = event.point, np.zeros_like(event.point.x), False  # slope: by the parameter
+    while True:
+        value = getattr(last.cycles, along)
+        step = min(max(step, span[0] - value), span[1] - value)
+        if abs(step) < _ROUNDING * largest:
             return
-        cycles = last.cycles._replace(**{along: value})
-        point = _event_at(cycles, last.x + step * slope, last.tangent, event.kind)
-        if point is None:
+        value += step
+        cycles, x = last.cycles._replace(**{along: value}), last.x + step * slope
+        point = _event_at(cycles, x, last.tangent, event.kind)
+        if point is None and abs(step) > largest * _LEAST_STEP:
             step *= 0.5
             continue
+        if point is None and not changed:
+            point = _with_other_segments(cycles, last, event.kind, cycles.parameter(x))
+        if point is None:
+            return
         yield Event(event.kind, point)
-        slope = (point.x - last.x) / step if point.letters == last.letters else np.zeros_like(point.x)
-        last = point
+        changed = point.letters != last.letters
+        slope = np.zeros_like(point.x) if changed else (point.x - last.x) / step
+        step, last = math.copysign(min(2.0 * abs(step), largest), step), point
+
+
+def _with_other_segments(cycles: Cycles, last: Point, kind: Kind | End, gamma: float) -> Point | None:
+    """The event at about `gamma` of a spring next to that of `last`, with other segments; None if none is."""
+    near = (1.0 - _NEAR_CURVE) * gamma, (1.0 + _NEAR_CURVE) * gamma
+    for way in (1.0, -1.0):
+        points = follow(last, way, points=_BESIDE, span=near, crossings=()).points
+        other = next((point for point in points if point.letters != last.letters), None)
+        if other is not None:
+            same = other.cycles._replace(omega=cycles.omega, xi=cycles.xi)
+            point = _event_at(same, other.x, other.tangent, kind)
+            if point is not None and abs(point.parameter - gamma) < _ON_CURVE:
+                return point
+    return None
 
 
 def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> Point | None:

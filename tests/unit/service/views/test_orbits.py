@@ -167,16 +167,35 @@ def test_curves_of_a_contact_end_before_their_cusp(python_client: Client):
         assert events.count("fold") == (curves.omega.max("point") >= omega).sum() == folds
 
 
+def _points(curves: Any, along: str) -> list[Any]:
+    """The parameter and Gamma (2, n) of each curve."""
+    points = np.stack([curves[along].values, curves.gamma.values], axis=1)
+    return [curve[:, np.isfinite(curve[0])] for curve in points]
+
+
 def test_curves_of_many_hops_lie_close_together(python_client: Client):
     """Each fold of the branches is on one of its own."""
     spring = {"modes": "1-1", "model": "rigid", "restitution": 0.7, "omega": 0.6, "gamma_max": 4.0}
     curves = python_client.curves(**spring, progress=False, kinds="fold", xi_start=0.05, xi_stop=0.08)
     events = python_client.orbits(**spring, xi=0.065)
-    points = np.stack([curves.xi.values, curves.gamma.values], axis=1)
-    at = [np.interp(0.065, *curve[:, np.isfinite(curve[0])]) for curve in points]
+    at = [np.interp(0.065, *curve) for curve in _points(curves, "xi")]
     folds = events.event_gamma.values[events.event_kind.values == "fold"]
     assert len(folds) > 10
     assert np.abs(folds[:, None] - at).min(axis=1).max() < 1e-6
+
+
+def test_curves_go_on_where_the_segments_of_a_cycle_change(python_client: Client):
+    """Between those at which curves are sought, too: here short contacts come and go."""
+    soft = {"model": "soft", "restitution": 0.05, "penetration": 0.01, "adhesive": False}
+    spring = soft | {"xi": 0.07, "modes": "1-1"}
+    curves = python_client.curves(**spring, omega_start=0.45, omega_stop=0.8, progress=False)
+    for omega in (0.59, 0.745):
+        events = python_client.orbits(**spring, omega=omega)
+        at = [np.interp(omega, *x, left=np.nan, right=np.nan) for x in _points(curves, "omega")]
+        for kind in ("fold", "flip"):
+            gamma = events.event_gamma.values[events.event_kind.values == kind]
+            on_curves = np.sort(np.array(at)[(curves.curve_kind == kind) & ~np.isnan(at)])
+            assert on_curves == pytest.approx(np.sort(gamma), abs=2e-3)
 
 
 def test_curves_are_held_to_a_limit(client: TestClient, monkeypatch: pytest.MonkeyPatch):
