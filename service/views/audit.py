@@ -354,7 +354,10 @@ def _sentence(
             share, most = COVERAGES[len(finite) - 1], finite[-1]
             rounded_up = f"{1.05 * most:.2g}"
             sentences[-1] += f", {100.0 * share:g} % of the cells, if they repeat, by at most {rounded_up}"
-    followed = answers["numerics"]["integrator"]
+    area, followed = (answers["numerics"][name] for name in ("area", "integrator"))
+    if area.sampled:
+        drawn = f"{area.changed} of {area.sampled} drawn"
+        sentences.append(f"area: {_between(area)} of all points are not what the nearest cell is ({drawn})")
     if followed.sampled:
         sentences.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
     return "; ".join(sentences)

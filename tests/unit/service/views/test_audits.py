@@ -61,6 +61,9 @@ def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):
     assert anywhere.cell_gamma.size > 0
     assert all(0.8 < gamma < 4 for gamma in anywhere.cell_gamma.values)  # no corner or edge counts more
     assert "of the cells have another outcome or mode" in found.attrs["sentence"]
+    area = found.sel(question="area")
+    said = f"nearest cell is ({int(area.changed)} of {int(area.sampled)} drawn)"
+    assert said in found.attrs["sentence"]
 
 
 def test_a_sentence_counts_flights_that_do_not_repeat(client: TestClient):
