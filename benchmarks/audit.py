@@ -81,10 +81,7 @@ def census(spec: SweepSpec, submitted: SweepSpec | None = None) -> tuple[Stored[
         with ThreadPoolExecutor(2) as threads:
             asked = (done.job.spec, url, contact, cells, 0, 0, audit.AuditQuery().tolerance)
             parts = list(threads.map(lambda part: look(*asked, part), range(PARTS)))
-    fields = [name for name in parts[0] if name not in SIZES]
-    dtypes = {"deviation": np.float64, "undecided": bool}
-    columns = {name: np.array([x for part in parts for x in part[name]], dtypes.get(name)) for name in fields}
-    return study, columns | {name: parts[0][name] for name in SIZES}
+    return study, {**audit.table_of(parts), **{name: parts[0][name] for name in SIZES}}
 
 
 def planted(all_cells: Census, share: float, random: np.random.Generator) -> Census:
@@ -92,6 +89,7 @@ def planted(all_cells: Census, share: float, random: np.random.Generator) -> Cen
     fields = ("outcome", "bounces", "periods", "label")
     made = all_cells | {name: all_cells[f"true_{name}"].copy() for name in fields}
     made["deviation"] = np.zeros(len(made["set"]))
+    made["unknown"] = np.zeros(len(made["set"]), bool)
     for i, name in enumerate(SETS):
         units = np.unique(made["unit"][made["set"] == i])
         wrong = random.choice(units, round(share * len(units)), replace=False)
@@ -173,8 +171,8 @@ def power(side: int, draws: int, output: str) -> str:
             said = (answered(study, drawn(made, cells, random))["mode"] for _ in range(draws))
             seen[i, k] = np.mean([each.changed > 0 for each in said])
     if output:
-        drawn = picture((6.0, 4.0), lambda figure: _draw_power(figure, seen), "png", {"release": "-"})
-        Path(output).write_bytes(drawn)
+        drawing = picture((6.0, 4.0), lambda figure: _draw_power(figure, seen), "png", {"release": "-"})
+        Path(output).write_bytes(drawing)
     rows = [
         [f"{100 * share:g} %", *(f"{100 * x:.0f} %" for x in row)]
         for share, row in zip(PLANTED, seen, strict=True)

@@ -118,7 +118,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
     mode.
     """
-    table, sizes = _table(parts), {name: parts[0][name] for name in audit.SIZES}
+    table, sizes = table_of(parts), {name: parts[0][name] for name in audit.SIZES}
     answers = answers_of(study, query, table, sizes)
     certified = sizes["certified"] / sizes["cells"]
     both = len(answers) > 1
@@ -198,7 +198,7 @@ _NOT_ASKED: Final = _Answer()
 _Table = Mapping[str, Any]  # FIELDS as arrays (n,)
 
 
-def _table(parts: Sequence[Mapping[str, Any]]) -> _Table:
+def table_of(parts: Sequence[Mapping[str, Any]]) -> _Table:
     """The cells of all parts; deviations of -1 are infinite, and those of -2 `unknown`."""
     dtypes = {"deviation": np.float64, "undecided": bool}
     columns = {name: [x for part in parts for x in part[name]] for name in audit.FIELDS}
