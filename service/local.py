@@ -61,7 +61,6 @@ from worker.spec.errors import Problem, SpecInvalid, rule_of
 from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import cells, steps_of
-from worker.sweep.plan import cell_seconds
 from worker.sweep.specification import is_open
 from worker.work import compile_for, is_compiled
 
@@ -367,9 +366,8 @@ class _Runner:
         deadline = time.monotonic() + seconds
         study = stored(self._last.record, self._last.job)
         workers = self._executor.workers()
-        table = math.prod(study.spec.shape) * cell_seconds(study.spec) / workers
         # as a machine is that computes other things, too
-        slower = max(self._took / (table + BEGINNING_SECONDS), 1.0)
+        slower = max(self._took / (self.seconds(study.spec) + BEGINNING_SECONDS), 1.0)
         query = audit.affordable(study.spec, seconds * workers / slower)
         # Compiling cannot be interrupted.
         if query is None or not (seconds > COMPILING_SECONDS or audit.is_compiled(study)):
