@@ -50,11 +50,10 @@ LOWEST: Final = 3
 
 #: Kinds of events whose curves are followed for any contact.
 CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
-#: Values of the parameter at which curves are sought, steps over its range, and the smallest parts of a step:
-#: the least that is tried, and that of rounding at an end of the range.
+#: Values of the parameter at which curves are sought, steps over its range, and the smallest part of a step.
 SECTIONS: Final = 5
 STEPS: Final = 60
-_LEAST_STEP, _ROUNDING = 0.05, 1e-9
+_LEAST_STEP: Final = 0.05
 #: Most core-seconds of the curves of a mode up to a restitution of 1 - _BOUNCY. Beyond it they grow as the
 #: number of hops after a landing, 1/(1 - restitution).
 _CURVES_SECONDS, _BOUNCY = 6.0, 0.3
@@ -308,7 +307,7 @@ def _along(event: Event, along: Parameter, step: float, span: tuple[float, float
     while True:
         value = getattr(last.cycles, along)
         step = min(max(step, span[0] - value), span[1] - value)
-        if abs(step) < _ROUNDING * largest:
+        if abs(step) < 1e-12:  # at an end of the range
             return
         value += step
         cycles, x = last.cycles._replace(**{along: value}), last.x + step * slope

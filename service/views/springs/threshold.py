@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import numpy as np
 import xarray
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import EQ_25, Thresholds
@@ -27,9 +27,9 @@ from worker.analysis.prediction import (
     prediction_seconds,
     search_below,
 )
-from worker.spec.axes import Axis, Strict, values_of
+from worker.spec.axes import Strict, values_of
 from worker.spec.contact_models import Contact, Rigid
-from worker.spec.errors import problems_of
+from worker.sweep import specification
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,8 +192,8 @@ class GridQuery(SearchQuery):
 class _Axes(Strict):
     """The axes of a grid, each an axis as of a sweep."""
 
-    omega: Axis = 1.0
-    xi: Axis = 0.0
+    omega: specification.Omega = 1.0
+    xi: specification.Xi = 0.0
 
 
 def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
@@ -215,7 +215,7 @@ def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
 
 
 def _springs(query: GridQuery) -> list[SpringQuery]:
-    """The springs of a grid, omega fastest. Raises InvalidRequest, also for too many."""
+    """The springs of a grid, omega fastest. Raises InvalidRequest, also for too many, or SpecInvalid."""
     xis, omegas = (_values(query, name).tolist() for name in ("xi", "omega"))
     seconds = _SEARCHED * max(1.0, starts_of(query.effort) / 1_000) if query.search else _CONTINUED
     most = int(MAX_GRID_SECONDS / seconds)
@@ -223,11 +223,7 @@ def _springs(query: GridQuery) -> list[SpringQuery]:
         rule = f"{most:,} springs take {MAX_GRID_SECONDS:,.0f} core-seconds, which is the limit"
         raise InvalidRequest.of("omega", f"must be fewer: {rule}")
     shared = query.model_dump(exclude={"omega", "xi"})
-    try:
-        return [SpringQuery(omega=omega, xi=xi, **shared) for xi in xis for omega in omegas]
-    except ValidationError as error:
-        problems = problems_of(error, {"": tuple(SpringQuery.model_fields)})
-        raise InvalidRequest("; ".join(map(str, problems)), problems) from error
+    return [SpringQuery(omega=omega, xi=xi, **shared) for xi in xis for omega in omegas]
 
 
 def grid_parts(study: None, query: GridQuery) -> Sequence[Call]:
