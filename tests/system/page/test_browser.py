@@ -618,11 +618,12 @@ def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(
         assert box["width"] > 900
         assert box["height"] > 600
         assert box["y"] + box["height"] < 800  # all of it is seen
-        plot.click(position={"x": box["width"] / 2, "y": 0.75 * box["height"]})
-        page.locator(".trajectory .readout", has_text="plate periods").wait_for()
-        drawer = page.locator(".trajectory").bounding_box()
-        for seen in (plot, page.locator(".panel .readout")):  # nothing of them is covered
-            assert seen.bounding_box()["y"] + seen.bounding_box()["height"] < drawer["y"]
+        for across, motion in ((0.1, "No two flights in a row"), (0.5, "plate periods")):
+            plot.click(position={"x": across * box["width"], "y": 300})
+            page.locator(".trajectory").get_by_text(motion).first.wait_for()
+            drawer = page.locator(".trajectory").bounding_box()
+            for seen in (plot, page.locator(".panel .readout")):  # nothing of them is covered
+                assert seen.bounding_box()["y"] + seen.bounding_box()["height"] < drawer["y"]
         side = ("x", "y", "width")
         assert [plot.bounding_box()[name] for name in side] == [box[name] for name in side]
         for figure in page.locator(".trajectory .plot").all():

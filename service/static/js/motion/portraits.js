@@ -32,7 +32,7 @@ export class Portraits {
   show({ flights = this.flights, trajectory = this.trajectory }) {
     this.flights = flights && flights.filter((time) => time > MIN_FLIGHT);
     this.trajectory = trajectory;
-    if (this.flights) this.mapNote.textContent = mapText(this.flights);
+    this.mapNote.textContent = this.flights?.length > 1 ? mapText(this.flights) : "";
     this.map.draw();
     this.portrait.draw();
   }
@@ -41,7 +41,6 @@ export class Portraits {
 const pairsOf = (flights) => flights.slice(1).map((time, i) => [flights[i], time]);
 
 function mapText(flights) {
-  if (flights.length < 2) return "The spring makes no two flights in a row.";
   const points = new Set(pairsOf(flights).map((pair) => pair.map((time) => Math.round(time / SAME)).join()));
   return `${plural(points.size, "point")} of ${plural(flights.length - 1, "pair")} of flights.`;
 }
