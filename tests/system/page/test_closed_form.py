@@ -131,7 +131,7 @@ def test_an_event_is_read_where_it_is_marked_and_its_spring_explored(browser: An
         box = page.locator(PLOT).first.bounding_box()
         beside = [at for at in branch_pixels(page)[::4] if 0.35 < at[0] / box["width"] < 0.55]
         texts = {readout_at(page, at): at for at in beside}
-        flip = "flip (1, 1) · Γ = 0.7243831 · φ = 4.42474 rad · ξ = 0.05, Ω = 0.6 · press to see it move"
+        flip = "flip (1, 1) · Γ = 0.7243831 · φ = 4.42474 rad · Ω = 0.6, ξ = 0.05 · press to see it move"
         page.mouse.click(box["x"] + texts[flip][0], box["y"] + texts[flip][1])
         said = page.locator(".trajectory .readout", has_text="On the cycle (1, 1)").inner_text()
         page.get_by_role("link", name="Explore this spring").click()

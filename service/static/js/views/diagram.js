@@ -282,7 +282,7 @@ export class Diagram extends PlotView {
 /** The lines of a diagram: the variables of each direction, and its `highest` and `lowest` flight, NaN left out. */
 function linesOf(source, result) {
   const { along, every } = result.attrs;
-  const fixed = Object.fromEntries(AXES.filter((axis) => axis !== along).reverse().map((axis) => [axis, result[axis].data]));
+  const fixed = Object.fromEntries(AXES.filter((axis) => axis !== along).map((axis) => [axis, result[axis].data]));
   return partsOf(result, "direction").map((variables) => {
     const highest = variables.flight_time.reduce((most, time) => (time > most ? time : most), 0);
     const lowest = variables.flight_time.reduce((least, time) => (time < least ? time : least), Infinity);
