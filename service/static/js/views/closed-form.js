@@ -15,6 +15,7 @@ const [STABLE, UNSTABLE] = [{ width: 2, dash: [] }, { width: 1.4, dash: [6, 4] }
 const NEAR_PX = 9; // a pointer nearer to a branch than to any flight selects the cycle
 const MARK_PX = 4;
 const RING_PX = MARK_PX + 2; // within which a pointer is on an event
+const BESIDE_PX = 8; // from the middle of a ring: a name beside another one would seem to be its own
 
 /** Labels of events, where they are not their kind. */
 const EVENTS = {
@@ -150,17 +151,18 @@ function runsOf(branch, events, along) {
   return runs;
 }
 
-/** Rings at the events, with their names where these cover no other, no ring, and none of the `points`, in px. */
+/** Rings at the events, with their names where these cover no other, no ring, and none of the `points`, in px, and stand beside no other ring. */
 function drawEvents(ctx, box, events, pixel, points) {
   const isInside = ([x, y]) => isInBox(x, y, box);
   const shown = events.map((event) => ({ ...event, position: pixel(event) })).filter(({ violations, position }) => violations === 0 && isInside(position));
   const square = (size) => ([x, y]) => ({ left: x - size, right: x + size, top: y - size, bottom: y + size });
-  const taken = [...points.filter(isInside).map(square(1)), ...shown.map(({ position }) => square(MARK_PX)(position))];
-  for (const { kind, position } of shown) drawEvent(ctx, box, position, eventName(kind), taken);
+  const rings = shown.map(({ position }) => square(MARK_PX)(position));
+  const taken = [...points.filter(isInside).map(square(1)), ...rings];
+  for (const { kind, position } of shown) drawEvent(ctx, box, position, eventName(kind), taken, rings);
 }
 
-/** A ring, and its name beside it where it is free. `taken`: the boxes taken so far. */
-function drawEvent(ctx, box, [px, py], text, taken) {
+/** A ring, and its name beside it where it is free. `taken`: the boxes taken so far, `rings` those of all rings. */
+function drawEvent(ctx, box, [px, py], text, taken, rings) {
   disc(ctx, box.theme.surface, px, py, MARK_PX);
   circle(ctx, box.theme.branch, 1.6, px, py, MARK_PX);
   ctx.font = `italic 13px ${box.theme.serif}`;
@@ -168,7 +170,10 @@ function drawEvent(ctx, box, [px, py], text, taken) {
   const [before, after] = [px - MARK_PX - 5 - width, px + MARK_PX + 5];
   const places = [[after, py - 15], [after, py + 2], [before, py - 15], [before, py + 2]];
   const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
-  const isFree = (label) => isInBox(label.left, label.top, box) && isInBox(label.right, label.bottom, box) && !taken.some((other) => overlap(label, other));
+  const others = rings.filter(({ left, top }) => Math.hypot(left + MARK_PX - px, top + MARK_PX - py) > MARK_PX);
+  const beside = (label) => ({ ...label, left: Math.min(label.left, px - BESIDE_PX), right: Math.max(label.right, px + BESIDE_PX) });
+  const isFree = (label) => isInBox(label.left, label.top, box) && isInBox(label.right, label.bottom, box)
+    && !taken.some((other) => overlap(label, other)) && !others.some((other) => overlap(beside(label), other));
   const label = places.map(([left, top]) => ({ left, right: left + width, top, bottom: top + 15 })).find(isFree);
   if (!label) return;
   taken.push(label);
