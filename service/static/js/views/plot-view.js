@@ -135,7 +135,7 @@ export class PlotView {
     const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
-      this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint)), this.#downloads(), actions(this.unzoom, this.logButtons, compute),
+      this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint), this.unzoom, this.logButtons, compute), this.#downloads(),
       ...shown, this.measured?.elements, ...below, this.events?.element, this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", {}, column));
