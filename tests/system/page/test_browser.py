@@ -1160,7 +1160,7 @@ def test_a_study_of_cycles_opens_on_its_branches_and_one_of_them_moves(browser: 
     answer = httpx2.get(f"{address}/v1/jobs/{job}/orbits?omega=0.7", timeout=DEADLINE).json()["data_vars"]
     admissible = answer["event_violations"]["data"].count(0)
     with opened(browser, address) as page:
-        page.locator("text=· orbits").first.wait_for()
+        page.locator("text=· cycles").first.wait_for()
         page.get_by_role("link", name="Folds").click()
         wait_shown(page, omega=0.7)
         assert page.locator(".tabs a").all_inner_texts() == ["Branches", "Details"]
