@@ -29,6 +29,7 @@ from browser import (
     watch_tasks,
 )
 from click.testing import CliRunner
+from PIL import Image
 from scripted import DEADLINE, Held, Scripted, free_port, wait_for
 from served import computing_at, done, service_at
 from studies import spec_of
@@ -1308,6 +1309,10 @@ def test_maps_fit_every_desktop(browser: Any, address: str):
                 page.locator("#bar").get_by_role("button", name="Delete").wait_for()
                 page.locator(f".panel .legend li >> nth={0 if job == cancelled else 12}").wait_for()
                 assert page.evaluate("document.documentElement.scrollWidth") <= width, job
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Download PNG").click()
+        with Image.open(download.value.path()) as image:  # the legend above it makes no map lower
+            assert image.height > 3 * (page.locator(".panel .plot").bounding_box()["height"] + 40)
 
 
 def _wait_complete(page: Any, path: str) -> None:

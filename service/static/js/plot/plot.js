@@ -4,7 +4,7 @@ import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, described, pixelRatio, resizedContext } from "./drawing.js";
-import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts } from "./frame.js";
+import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts, headingHeight } from "./frame.js";
 
 const PNG_RATIO = 3; // pixels of a file per CSS pixel
 
@@ -54,8 +54,8 @@ export class Plot {
     this.element.dispatchEvent(new Event("drawn"));
   }
 
-  #paint(ctx, content, ratio) {
-    const box = boxOf(ctx, content, this.element.clientWidth, this.element.clientHeight, theme(), ratio);
+  #paint(ctx, content, ratio, height = this.element.clientHeight) {
+    const box = boxOf(ctx, content, this.element.clientWidth, height, theme(), ratio);
     ctx.fillStyle = box.theme.surface;
     ctx.fillRect(0, 0, ctx.canvas.width, ctx.canvas.height);
     if (content.y.periods) drawPeriods(ctx, box);
@@ -66,14 +66,19 @@ export class Plot {
     return box;
   }
 
-  /** What is drawn, as a PNG of more pixels: with more entries of the legend, other plots below, a text on what it is. */
+  /** What is drawn, as a PNG of more pixels: with more entries of the legend, for which it is higher, other plots below, a text on what it is. */
   async png(entries = [], below = [], text = "") {
-    const [canvas, plots] = [h("canvas"), [this, ...below]];
-    const ctx = resizedContext(canvas, this.element.clientWidth, plots.reduce((sum, { element }) => sum + element.clientHeight, 0), PNG_RATIO);
-    for (const plot of plots) {
-      const { legend = [], ...content } = plot.content();
-      plot.#paint(ctx, { ...content, legend: plot === this ? [...legend, ...entries] : legend }, PNG_RATIO);
-      ctx.translate(0, plot.element.clientHeight);
+    const canvas = h("canvas");
+    const plots = [this, ...below].map((plot) => {
+      const [shown, { clientWidth: width, clientHeight }] = [plot.content(), plot.element];
+      const content = { ...shown, legend: [...(shown.legend ?? []), ...(plot === this ? entries : [])] };
+      const [before, after] = [shown, content].map((headed) => headingHeight(canvas.getContext("2d"), headed, width, theme()));
+      return { plot, content, height: clientHeight + after - before };
+    });
+    const ctx = resizedContext(canvas, this.element.clientWidth, plots.reduce((sum, { height }) => sum + height, 0), PNG_RATIO);
+    for (const { plot, content, height } of plots) {
+      plot.#paint(ctx, content, PNG_RATIO, height);
+      ctx.translate(0, height);
     }
     return described(await new Promise((resolve) => canvas.toBlob(resolve, "image/png")), text);
   }
