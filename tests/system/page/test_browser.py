@@ -588,6 +588,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="ramp down: 0.").wait_for()
+        assert "trajectory" not in page.locator(".panel .plot").get_attribute("aria-label")
         open_tab(page, "Details")
         page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
         page.get_by_label("Language").select_option("Python")

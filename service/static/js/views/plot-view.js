@@ -12,7 +12,7 @@ import { Plot } from "../plot/plot.js";
 import { wholeStudy } from "./measured.js";
 
 const RETRY_MS = 3000; // after 503: results that were damaged are computed again
-const KEYS = "Arrow keys step through cells, Home and End go to the ends, Enter shows the trajectory, plus and minus zoom, 0 resets the zoom.";
+const KEYS = `Arrow keys step through cells, Home and End go to the ends, ${shared ? "" : "Enter shows the trajectory, "}plus and minus zoom, 0 resets the zoom.`;
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
 const LOG_RANGE = 1000; // the end of a logarithmic axis over its beginning, where the linear one begins at zero
