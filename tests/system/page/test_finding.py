@@ -23,7 +23,7 @@ from served import computing_at, done, service_at
 from studies import spec_of
 
 from kernel.cycles.events import branch_and_events
-from kernel.params import KERNEL_VERSION
+from kernel.params import KERNEL_VERSION, Outcome
 from kernel.threshold import threshold
 from service.cli.main import main
 from service.client import Client
@@ -337,6 +337,9 @@ def test_the_difference_of_two_sweeps_is_a_map_and_a_sentence(browser: Any, addr
         assert numbers == pytest.approx([100 * same.mean(), moved], rel=0.05)
         page.get_by_text("Table of what is shown").click()
         page.locator(".paged [role=status]", has_text=f"of {np.count_nonzero(~same)}").wait_for()
+        at_rest = second.outcome.values == Outcome.AT_REST
+        listed = page.locator(".legend li", has_text="at rest").count()
+        assert (listed, at_rest.any()) == ((at_rest & ~same).any(), True)  # of the cells that differ
         screenshot(page, "difference")
 
 

@@ -8,7 +8,7 @@ import { rgba32 } from "../plot/drawing.js";
 import { ClassLegend, PlaneView } from "../views/cells.js";
 import { sliders } from "../views/controls.js";
 
-const HINT = "Cells that differ have the colour that they have in the second sweep.";
+const HINT = "Cells that differ have the colour that they have in the second sweep; shares are of these cells.";
 const OTHER_MODE = 1; // of `differs`
 
 /** The cells of the first sweep; each is compared with the nearest one of the second. */
@@ -18,7 +18,7 @@ export class Difference extends PlaneView {
   constructor(root, view) {
     super(view);
     this.sentence = h("p", { className: "sentence", role: "status" });
-    this.legend = new ClassLegend(this, "Modes of the second sweep");
+    this.legend = new ClassLegend(this, "Modes in the second sweep, with their shares of the cells that differ");
     this.build(root, { controls: [sliders(this, ["xi"]), this.rampChoice()], label: "Where the modes differ", shown: [this.sentence, this.legend.element], hint: HINT });
   }
 
@@ -47,9 +47,12 @@ export class Difference extends PlaneView {
     return { ...this.scales(this.axisOf("gamma"), this.axisOf("omega")), title: this.title, layers: [draw] };
   }
 
+  indicesInWindow() {
+    return super.indicesInWindow().filter((cell) => this.differs[cell] === OTHER_MODE);
+  }
+
   isHidden(cell) {
-    const index = this.indexOf(cell);
-    return this.differs[index] !== OTHER_MODE || this.legend.hidden.has(this.classes.ofCell[index]);
+    return this.legend.hidden.has(this.classes.ofCell[this.indexOf(cell)]);
   }
 
   columnsOfTable() {
