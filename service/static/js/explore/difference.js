@@ -51,10 +51,6 @@ export class Difference extends PlaneView {
     return super.indicesInWindow().filter((cell) => this.differs[cell] === OTHER_MODE);
   }
 
-  isHidden(cell) {
-    return this.legend.hidden.has(this.classes.ofCell[this.indexOf(cell)]);
-  }
-
   columnsOfTable() {
     return [...this.columnsOfPlane(), ...["first", "second"].map((name) => [name, (cell) => modeText(this[name], this.indexOf(cell))])];
   }

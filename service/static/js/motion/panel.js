@@ -95,7 +95,9 @@ export class TrajectoryPanel {
       ["PNG", () => fileName(job, name(), "png"), () => this.player.plot.png()],
       ...resultFiles(job, name, [["CSV", "csv"], ["NetCDF", "nc"]], () => path, options),
     ]));
-    this.#loadMap(job, cell, signal);
+    const [mapPath, mapOptions] = requestOf(job, cell, MAPPED);
+    const mapFailed = (error) => { if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message; };
+    requestMotion(mapPath, { ...mapOptions, signal }).then(({ flights: mapped }) => this.portraits.show({ flights: mapped })).catch(mapFailed);
     if (!options.body && (start || cycle)) this.#offerProof(path, signal);
   }
 
@@ -118,13 +120,6 @@ export class TrajectoryPanel {
   #showError(error) {
     this.problem.show(error);
     this.root.classList.toggle("empty", Boolean(error));
-  }
-
-  /** The return map, of a longer motion, which the rest does not need. */
-  #loadMap(job, cell, signal) {
-    const [path, options] = requestOf(job, cell, MAPPED);
-    const failed = (error) => { if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message; };
-    requestMotion(path, { ...options, signal }).then(({ flights }) => this.portraits.show({ flights })).catch(failed);
   }
 
   /** A button that has the cell's cycle proven, and the answer in its place. */

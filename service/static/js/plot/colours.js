@@ -10,8 +10,7 @@ for (const [name, [light, dark]] of Object.entries(palette.lines)) document.docu
 
 const style = getComputedStyle(document.documentElement);
 const colourOf = (name, dark) => style.getPropertyValue(`--${name}`).match(/#\w+/g)[Number(dark)]; // light-dark(a, b)
-const coloursOf = (dark) => Object.fromEntries(PROPERTIES.map((name) => [name, colourOf(name, dark)]));
-const THEMES = [false, true].map((dark) => ({ ...coloursOf(dark), dark, serif: style.getPropertyValue("--serif") }));
+const THEMES = [false, true].map((dark) => ({ ...Object.fromEntries(PROPERTIES.map((name) => [name, colourOf(name, dark)])), dark, serif: style.getPropertyValue("--serif") }));
 
 /** The style sheet's colours and font for drawing, of the current colour scheme. */
 export const theme = () => THEMES[Number(matchMedia(DARK).matches)];

@@ -4,7 +4,7 @@ import { h } from "../lib/dom.js";
 import { number } from "../lib/format.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, described, pixelRatio, resizedContext } from "./drawing.js";
-import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts, headingHeight } from "./frame.js";
+import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts } from "./frame.js";
 
 const PNG_RATIO = 3; // pixels of a file per CSS pixel
 
@@ -72,8 +72,8 @@ export class Plot {
     const plots = [this, ...below].map((plot) => {
       const [shown, { clientWidth: width, clientHeight }] = [plot.content(), plot.element];
       const content = { ...shown, legend: [...(shown.legend ?? []), ...(plot === this ? entries : [])] };
-      const [before, after] = [shown, content].map((headed) => headingHeight(canvas.getContext("2d"), headed, width, theme()));
-      return { plot, content, height: clientHeight + after - before };
+      const { top } = boxOf(canvas.getContext("2d"), content, width, clientHeight, theme(), PNG_RATIO);
+      return { plot, content, height: clientHeight + top - plot.box.top };
     });
     const ctx = resizedContext(canvas, this.element.clientWidth, plots.reduce((sum, { height }) => sum + height, 0), PNG_RATIO);
     for (const { plot, content, height } of plots) {

@@ -25,7 +25,7 @@ export function ticks(low, high, n, log = false, tries = 3, most = 1.5 * n) {
     const finer = ticks(low, high, 2 * Math.max(n, 1), false, tries - 1, most);
     if (values.length < 2 || finer.length <= most) return finer;
   }
-  return values.map((value) => ({ value, text: tickText(value, digits) }));
+  return values.map((value) => ({ value, text: value.toFixed(Math.min(digits, 20)).replace(/^-(?=0\.?0*$)/, "").replace("-", "−") }));
 }
 
 /** Powers of ten; where there are less than three, twice and five times them too. */
@@ -38,8 +38,6 @@ function decades(low, high) {
   const powers = values.filter(({ isPower }) => isPower);
   return (powers.length < 3 ? values : powers).map(({ value }) => ({ value, text: number(value) }));
 }
-
-const tickText = (value, digits) => value.toFixed(Math.min(digits, 20)).replace(/^-(?=0\.?0*$)/, "").replace("-", "−");
 
 /** [low, high], widened where they are equal: a scale needs some extent. */
 export function extent(low, high) {

@@ -62,6 +62,10 @@ export class PlaneView extends PlotView {
   /** The index of a cell in what is stored row by row. */
   indexOf = ({ column, row }) => row * this.columns.length + column;
 
+  isHidden(cell) {
+    return this.classes ? this.legend.hidden.has(this.classes.ofCell[this.indexOf(cell)]) : false;
+  }
+
   columnsOfPlane() {
     const { gamma, omega } = this.grid;
     return [axisColumn("Γ", gamma, ({ column }) => this.columns[column]), axisColumn("Ω", omega, ({ row }) => this.rows[row]), ...this.common({ xi: this.xi })];
@@ -144,10 +148,15 @@ export class ClassLegend {
   show({ present, ofCell }) {
     const { hidden, view } = this;
     const { dark } = theme();
+    const toggle = (id) => {
+      setQuery({ hide: [...this.hidden.symmetricDifference(new Set([id]))].join() || null });
+      view.showLegend();
+      view.draw();
+    };
     const parts = sharesAt(view.indicesInWindow(), ofCell);
     const shares = present.map((shown) => ({ ...shown, part: parts[shown.id] }));
     this.element.replaceChildren(...shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
-      type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => this.#toggle(id),
+      type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => toggle(id),
     }, name), " ", h("small", {}, share(part, 2)))));
   }
 
@@ -156,12 +165,6 @@ export class ClassLegend {
     const colours = new Uint32Array(256);
     for (const { id } of this.view.classes.present) colours[id] = rgba32(this.hidden.has(id) ? surface : modeColour(id, dark));
     return colours;
-  }
-
-  #toggle(id) {
-    setQuery({ hide: [...this.hidden.symmetricDifference(new Set([id]))].join() || null });
-    this.view.showLegend();
-    this.view.draw();
   }
 }
 

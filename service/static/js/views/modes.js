@@ -127,10 +127,6 @@ export class Modes extends PlaneView {
     this.drawCells(ctx, box, (cell) => colours[painted[cell]], hysteresis || isMarked ? over : null);
   }
 
-  isHidden(cell) {
-    return this.legend.hidden.has(this.classes.ofCell[this.indexOf(cell)]);
-  }
-
   columnsOfTable() {
     const { hysteresis } = this.cells;
     const other = this.directions.find((direction) => direction !== this.loadedDirection);

@@ -174,7 +174,7 @@ export class PlotView {
   #updateLegend = debounced(ANNOUNCED_MS, () => this.signal.aborted || !this.isLoaded || this.showLegend());
 
   cellsShown() {
-    return this.cellsInWindow().filter((cell) => !this.isHidden?.(cell));
+    return this.cellsInWindow().filter((cell) => !this.isHidden(cell));
   }
 
   isVisible(x, y = null) {
