@@ -15,7 +15,6 @@ from kernel.cycles.closed_form import TWO_PI, gamma_and_slope, orbit
 from kernel.cycles.events import Branch, branch, flight_times, rows_of
 from kernel.cycles.roots import Floats, roots, stretches
 from kernel.cycles.spring import flight, spring, stuck
-from kernel.numerics.oscillator import oscillator, response
 from kernel.params import Cell, Start
 
 #: A cycle of the closed form is one of the cell if it is within this in Gamma, relative.
@@ -76,11 +75,13 @@ def starts_between_landings(omega: float, xi: float, periods: int, restitution: 
 
     There are two at each Gamma above the one at which they land where the plate is fastest.
     """
-    w, time = 1.0 / omega**2, TWO_PI * periods
-    c, s, s1 = response(oscillator(2.0 * xi / omega, 2.0 * w), time)
+    time = TWO_PI * periods
+    f = flight(spring(omega, xi), np.array([time])).free
+    push = (1.0 - f.c) * (1.0 - f.s1) - f.s * f.c1
+    if push[0] == 0.0:  # an undamped resonance
+        return
     impact = 2.0 * time / (1.0 + restitution)  # this and what follows are Gamma times the values of the cycle
-    q = -2.0 * time / ((1.0 - c) * (1.0 - s1) / s + 2.0 * w * s)
-    q1 = q * (1.0 - c) / s
+    q, q1 = float((-2.0 * time * f.s / push)[0]), float((-2.0 * time * (1.0 - f.c) / push)[0])
     sine = restitution * impact + 0.5 * (q1 - time)
     for part in _LANDING:
         gamma = abs(sine) / part
