@@ -38,8 +38,9 @@ _STRETCHES, _STRETCH = 8, 1.3
 #: without a smaller one: the rest is rounding.
 _ZERO, _STALLED = 1e-13, 4
 
-#: A multiplier this close to 1, -1 or the unit circle makes an event.
-_AT: Final = 1e-4
+#: A multiplier this close to 1, -1 or the unit circle makes an event, and two near -1 with a product of both
+#: distances below the second: where they meet, each moves with the square root.
+_AT, _BOTH = 1e-4, 1e-6
 #: Indices of each two of the multipliers.
 _PAIRS: Final = np.triu_indices(4, 1)
 
@@ -227,7 +228,7 @@ def _passes(last: Point, step: float, origin: Point) -> bool:
 def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iterator[Event]:
     """The crossings of these kinds between neighbours. before: number of points before `line`."""
     tests = np.array([[crossing(kind, point) for kind in kinds] for point in line])
-    with np.errstate(invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         turned = tests[:-1] * tests[1:] < 0.0
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
@@ -237,6 +238,7 @@ def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iter
             yield Event(kind, point, turns=kind is Kind.FOLD, after=before + int(i))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # multipliers of cycles of many hops
 def crossing(kind: Kind, point: Point) -> float:
     """A function that changes sign at crossings of a kind, and at its poles."""
     if kind is Kind.FOLD:
@@ -253,7 +255,7 @@ def happens(kind: Kind | End, point: Point) -> bool:
     if kind is Kind.FOLD:
         return bool(np.abs(mu - 1.0).min() < _AT)
     if kind is Kind.FLIP:
-        return bool(np.abs(mu + 1.0).min() < _AT)
+        return bool(np.abs(mu + 1.0).min() < _AT or abs(crossing(kind, point)) < _BOTH)
     return bool(((np.abs(mu.imag) > 1e-9) & (np.abs(np.abs(mu) - 1.0) < _AT)).any())
 
 

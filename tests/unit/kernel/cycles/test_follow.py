@@ -113,6 +113,13 @@ def test_a_flip_between_points_with_other_numbers_of_hops(restitution, omega, xi
     assert any(abs(gamma - flip) < 1e-8 for line in lines for gamma in gammas(line, FLIP))
 
 
+@pytest.mark.parametrize("beside", range(-4, 5))
+def test_a_flip_where_two_multipliers_meet(beside):
+    """At Gamma 7.27313, 1e-9 from a graze."""
+    (line,) = branches(soft(), 0.89967 + 1e-7 * beside, 0.05, 1)
+    assert len(gammas(line, FLIP)) == 4
+
+
 @pytest.mark.parametrize("omega", [1.3, 1.35, 1.4])
 def test_a_branch_far_above_where_the_search_begins(omega):
     """From where its flights vanish to the end of the span."""
