@@ -26,7 +26,7 @@ RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 #: Whether to check times, on a machine with nothing else to do.
 STRICT = RUNS >= 10
 #: The time limit of a chunk (s): far above what a chunk needs on a busy machine.
-HUNG = 4.0
+HUNG = 8.0
 PATIENCE = 180.0
 
 
