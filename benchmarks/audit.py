@@ -79,7 +79,7 @@ def census(spec: SweepSpec, submitted: SweepSpec | None = None) -> tuple[Stored[
     with tempfile.TemporaryDirectory() as folder, computed(spec, Path(folder), progress=False) as done:
         url = done.job.store_url
         with ThreadPoolExecutor(2) as threads:
-            asked = (done.job.spec, url, contact, cells, 0, 0, audit.AuditQuery().tolerance)
+            asked = (done.job.spec, url, contact, cells, 0, 0, audit.TOLERANCE)
             parts = list(threads.map(lambda part: look(*asked, part), range(PARTS)))
     return study, {**audit.table_of(parts), **{name: parts[0][name] for name in SIZES}}
 

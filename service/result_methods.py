@@ -265,7 +265,7 @@ class ResultMethods(Methods):
         cells: Annotated[int | None, "cells of each sample; default: 59 to 200, as many as cost a tenth of the sweep"] = None,
         followed: Annotated[int | None, "cells of a soft contact that a time stepper follows; default: up to ten"] = None,
         seed: Annotated[int, "of the random sample"] = 0,
-        tolerance: Annotated[float, "rad: flights that deviate by more have changed"] = 0.001,
+        tolerance: Annotated[float | None, "rad: flights that deviate by more have changed; default: that of auto, else 0.001"] = None,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":

@@ -30,6 +30,8 @@ HARD_AND_POINTS: Final = 2.5
 FOLLOWED, FOLLOWED_SECONDS = 10, 20.0
 #: Cells of a sample within a budget: fewer say nothing, more would say little more.
 FEWEST_AFFORDED, MOST_AFFORDED = 20, 2000
+#: Of flights, rad, unless the specification or the query has another.
+TOLERANCE: Final = 1e-3
 #: Bytes of a cell in an answer.
 _PER_CELL: Final = 400
 
@@ -88,9 +90,9 @@ class AuditQuery(Query):
         None, description="cells of a soft contact that a time stepper follows; default: up to ten"
     )
     seed: Annotated[int, Field(ge=0, lt=2**63, description="of the random sample")] = 0
-    tolerance: Annotated[
-        Number, Field(gt=0, le=10, description="rad: flights that deviate by more have changed")
-    ] = 1e-3
+    tolerance: Annotated[Number, Field(gt=0, le=10)] | None = Field(
+        None, description="rad: flights that deviate by more have changed; default: that of auto, else 0.001"
+    )
 
 
 def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, Any]) -> xarray.Dataset:
@@ -129,7 +131,8 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     own = _drawn(table, "numerics")
     np.add.at(matrix, (own["outcome"], own["true_outcome"]), 1)
     of_sweep = {"outcomes": matrix, **_modes(own), "cells": sizes["cells"], "certified": certified}
-    listed = _changed_cells(study.spec, table, query.tolerance)
+    tolerance = _tolerance(study, query)
+    listed = _changed_cells(study.spec, table, tolerance)
     against = ("against",) * both
     deviation = np.array([_deviations(_drawn(table, name), _sizes(sizes, name)) for name in answers])
     by_question = answered | {"deviation": deviation if both else deviation[0]}
@@ -142,9 +145,9 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
         "outcome": coordinate("outcome", names),
         "true_outcome": coordinate("true_outcome", names),
     }
-    sentence = _sentence(answers, deviation, certified, query.tolerance)
+    sentence = _sentence(answers, deviation, certified, tolerance)
     attrs = {"sentence": sentence, "seed": query.seed,
-             "tolerance": query.tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
+             "tolerance": tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
 
 
@@ -156,17 +159,18 @@ def answers_of(
     table: arrays of FIELDS of the drawn cells. sizes: SIZES of the sweep.
     """
     drawn = {name: _drawn(table, name) for name in audit.SETS}
+    tolerance = _tolerance(study, query)
     labelled = bool(study.spec.exponents)
     answers = {
-        "numerics": _answers(drawn["numerics"], sizes, query.tolerance, labelled)
+        "numerics": _answers(drawn["numerics"], sizes, tolerance, labelled)
         | {
             "threshold": _of_thresholds(drawn["threshold"], sizes["thresholds"]),
             "area": _answer(_masks(drawn["area"], 0.0)["mode"], drawn["area"]["undecided"], ENDLESS),
-            "integrator": _of_integrator(drawn["integrator"], sizes, query.tolerance),
+            "integrator": _of_integrator(drawn["integrator"], sizes, tolerance),
         }
     }
     if _contact(study) is not None:
-        answers["model"] = _answers(drawn["model"], _sizes(sizes, "model"), query.tolerance, labelled=False)
+        answers["model"] = _answers(drawn["model"], _sizes(sizes, "model"), tolerance, labelled=False)
     return answers
 
 
@@ -371,6 +375,12 @@ def _between(answer: _Answer) -> str:
     return f"at most {high} %" if answer.low == 0.0 else f"{low} to {high} %"
 
 
+def _tolerance(study: Stored[SweepSpec], query: AuditQuery) -> float:
+    """Of flights, rad."""
+    asked: float = getattr(study.submitted.model, "tolerance", TOLERANCE)  # of auto
+    return asked if query.tolerance is None else query.tolerance
+
+
 def _contact(study: Stored[SweepSpec]) -> Any:
     return audit.approximated(study.submitted, study.spec)
 
@@ -429,9 +439,9 @@ def parts(study: Stored[SweepSpec], query: AuditQuery) -> Sequence[Call]:
     """The cells computed again. Raises InvalidRequest for a sweep that is not done, OutdatedJob."""
     check_kernel(study)
     if not study.complete:
-        raise InvalidRequest.of("job_id", "is not done: an audit is of a sweep with all its cells")
+        raise InvalidRequest("this job is not done: an audit is of a sweep with all its cells")
     spec, contact = study.spec, _contact(study)
-    sample = (_cells(spec, query), _followed(spec, query), query.seed, query.tolerance)
+    sample = (_cells(spec, query), _followed(spec, query), query.seed, _tolerance(study, query))
     return [(audit.look, spec, study.url, contact, *sample, part) for part in range(audit.PARTS)]
 
 

@@ -119,6 +119,15 @@ def test_certified_cells_are_not_drawn_and_the_bounds_of_the_others_are_scaled(c
     assert "of the cells are certified" in found.attrs["sentence"]
 
 
+def test_flights_are_judged_by_the_tolerance_that_a_choice_kept(client: TestClient):
+    auto = {"kind": "auto", "tolerance": 0.1}
+    job = finished(client, PLANE | {"gamma": [1.2, 1.6, 2.3], "omega": [0.5, 0.6], "model": auto})
+    found = audited(client, job)
+    assert found.attrs["tolerance"] == 0.1
+    assert "deviate by more than 0.1 rad" in found.attrs["sentence"]
+    assert audited(client, job, tolerance=1e-6).attrs["tolerance"] == 1e-6
+
+
 def test_certificates_looser_than_the_tolerance_do_not_count(client: TestClient):
     job = finished(client, PLANE | {"gamma": [1.2, 1.6, 2.3], "omega": [0.5, 0.6]})
     assert audited(client, job).certified > 0
