@@ -204,6 +204,8 @@ def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
         raise InvalidRequest.of(name, rule)
     axis: Any
     try:
+        if "_" in text or not text.isascii():  # Python reads 1_0 and the digits of every script
+            raise ValueError
         if ":" in text:
             start, stop, number = text.split(":")
             axis = {"start": float(start), "stop": float(stop), "num": int(number)}
