@@ -119,8 +119,7 @@ def check(
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     if format == "html" and not isinstance(spec, SweepSpec):
-        rule = f"is of kind {spec.protocol.kind}: only a sweep has a page to share"
-        raise InvalidRequest.of("job_id", rule)
+        raise InvalidRequest(f"this job's protocol is {spec.protocol.kind}: only a sweep has a page to share")
     if layout == "flights" and format != "parquet":
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
     if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):

@@ -70,7 +70,7 @@ def admit(
         names = [name for name, other in VIEWS.items() if other.study and isinstance(spec, other.study)]
         others = f"; it has {', '.join(names)}" if names else ""
         kind = spec.protocol.kind
-        raise InvalidRequest.of("job_id", f"has no {view.name}: the protocol of this job is {kind}{others}")
+        raise InvalidRequest(f"this job has no {view.name}: its protocol is {kind}{others}")
     encode.check_format(format)
     estimate = view.estimate(spec, query)
     if estimate.seconds > max_seconds:

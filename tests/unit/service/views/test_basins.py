@@ -50,7 +50,7 @@ def test_what_is_refused(python_client: Client, job: Job):
     with pytest.raises(BadRequest, match="gamma: must be within"):
         job.basins(5.0)
     sweep = python_client.submit({"gamma": 1.2, "omega": 0.5, "xi": 0.26, "settle": 1, "observe": 1})
-    with pytest.raises(BadRequest, match="job_id: has no basins: the protocol of this job is rest"):
+    with pytest.raises(BadRequest, match="this job has no basins: its protocol is rest"):
         sweep.wait(progress=False).basins()
 
 

@@ -59,6 +59,6 @@ def test_a_job_says_how_many_cells_were_settling(client: TestClient):
     assert view["progress"]["cells_settling"] == settling
     job = JobStatus()
     job._update(view)
-    note = f"{settling} of 46 cells were still settling: with settle auto, a larger until gives them time"
+    note = f"{settling} of 46 cells still settling: with settle auto, a larger until gives them time"
     assert settling_note(job) == note
     assert note in job_report(job)  # type: ignore[arg-type]

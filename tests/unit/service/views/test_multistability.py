@@ -51,13 +51,13 @@ def test_what_is_refused(client: TestClient, job: Job):
         job.multistability(0.5)
     with pytest.raises(BadRequest, match="omega: must be within"):
         job.multistability(omega=0.7)
-    with pytest.raises(BadRequest, match="has no basins: the protocol of this job is multistability"):
+    with pytest.raises(BadRequest, match="this job has no basins: its protocol is multistability"):
         job.basins()
     with pytest.raises(BadRequest, match="attractor: is required: the protocol is multistability"):
         job.trajectory(3.6, 0.5)
     answer = client.get(f"/v1/jobs/{job.id}/threshold")
     assert answer.status_code == 422
-    assert "has no threshold: the protocol of this job is multistability" in answer.json()["detail"]
+    assert "this job has no threshold: its protocol is multistability" in answer.json()["detail"]
 
 
 # From a store that was written by hand
