@@ -124,7 +124,7 @@ def settling_note(job: JobStatus) -> str:
     if not settling:
         return ""
     return (
-        f"{settling:,} of {job.progress.cells_done:,} cells were still settling: "
+        f"{settling:,} of {job.progress.cells_done:,} cells still settling: "
         "with settle auto, a larger until gives them time"
     )
 

@@ -199,8 +199,8 @@ def check_size(
     if cost.computed_cells is not None:
         cells, computed = cost.computed_cells[1], "computed "
     if cells > max_cells:
-        rule = f"asks for {cells:,} {computed}cells; at most {max_cells:,} are allowed: take fewer values"
-        raise SpecTooLarge([Problem("", rule)])
+        rule = f"asks for {cells:,} {computed}cells; at most {max_cells:,} are allowed"
+        raise SpecTooLarge([Problem("", f"{rule}: take fewer values on the axes")])
     if cost.bytes > max_bytes:
         per_cell = cost.bytes // cost.cells
         rule = f"asks for {cost.bytes:,} bytes, {per_cell:,} per cell; at most {max_bytes:,} are allowed"

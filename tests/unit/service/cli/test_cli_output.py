@@ -36,7 +36,7 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
         "name      ω sweep",
         "state     running",
         "progress  50% (12,000 of 24,000 cells, 1,500 of 3,000 chunks), 2 min 5 s left",
-        "settling  7 of 12,000 cells were still settling: with settle auto, a larger until gives them time",
+        "settling  7 of 12,000 cells still settling: with settle auto, a larger until gives them time",
         "model     rigid: the cheapest",
         "owner     ana",
         "created   2026-01-01T00:00:00Z",

@@ -89,7 +89,7 @@ def test_too_much_is_refused_with_the_limit():
     cost = estimate(spec, make_plan(spec))
     check_size(cost, max_cells=1000, max_bytes=1_061_000, max_core_seconds=cost.upper_core_seconds)
     for limit, rule in (
-        ({"max_cells": 999}, r"^asks for 1,000 cells; at most 999 are allowed: take fewer values$"),
+        ({"max_cells": 999}, r"^asks for 1,000 cells; at most 999 are .*: take fewer values on the axes$"),
         ({"max_bytes": 1_060_999}, r"^keep: asks for 1,061,000 bytes, 1,061 per cell; at most 1,060,999 are"),
         (
             {"max_core_seconds": 0.99 * cost.upper_core_seconds},
