@@ -54,16 +54,19 @@ def measured(
     for name in (along, y):
         if name not in table:
             also = " or flight_time_ms" if name == "flight_time" else ""
-            raise BounceError(f"data: needs the column {name}{also}; it has {', '.join(map(str, table))}")
+            columns = ", ".join(map(str, table)) or "none"
+            raise BounceError(f"data: needs the column {name}{also}; it has {columns}")
     error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
-    columns = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
-    inside = np.isfinite(columns[0] + columns[1])
+    points = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
+    inside = np.isfinite(points[0] + points[1])
+    if not inside.any():
+        raise BounceError(f"data: no row has {along} and {y}")
     for name in at.keys() & set(table):
         inside &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
     if not inside.any():
         place = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
-        raise BounceError(f"data: no point is at {place}" if at else f"data: no row has {along} and {y}")
-    return Measured(*(column[inside] for column in columns))
+        raise BounceError(f"data: no point is at {place}")
+    return Measured(*(column[inside] for column in points))
 
 
 def element(data: Data) -> str:
@@ -101,7 +104,8 @@ def _table(data: Data) -> "pandas.DataFrame":
     try:
         table = pandas.DataFrame(data)
     except ValueError:
-        raise BounceError("data: must be a CSV file, a table or a mapping of columns as long") from None
+        rule = "must be a CSV file, or a table or mapping of columns of one length"
+        raise BounceError(f"data: {rule}, not {data!r:.40}") from None
     if len(table) > MOST_ROWS:
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:

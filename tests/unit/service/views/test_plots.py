@@ -175,6 +175,8 @@ def test_data_that_is_no_table_of_points_is_refused(job: Job, data: Any, rule: s
     ({"flight_time": [1.0]}, "data: needs the column gamma; it has flight_time"),
     ({"gamma": [1.0]}, "data: needs the column omega; it has gamma"),
     ({"gamma": [math.nan], "flight_time": [1.0]}, "data: no row has gamma and flight_time"),
+    ({"gamma": [], "flight_time": []}, "data: no row has gamma and flight_time"),
+    (3, "data: must be a CSV file, or a table or mapping of columns of one length, not 3"),
 ])  # fmt: skip
 def test_points_that_no_page_can_draw_are_not_shared(data: Any, rule: str):
     with pytest.raises(BounceError) as caught:
