@@ -428,7 +428,6 @@ def test_an_unknown_sweep_is_reported(browser: Any, address: str):
         page.evaluate(_RETURN)
         page.get_by_role("heading", name="No such sweep").wait_for()
         assert done(address, spec) == job
-        page.evaluate(_RETURN)
         wait_shown(page, xi=0.32)
 
 

@@ -99,6 +99,8 @@ export class JobView {
     this.hasFailed = true;
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
+    this.#pollAfter(IDLE_POLL_MS); // it may be submitted or imported again
+    if (!this.panel.isConnected) return;
     this.leaving?.abort();
     this.trajectory.hide();
     [this.job, this.cell] = [null, null];
