@@ -37,7 +37,12 @@ WARNING: Final[str] = LINES["cursor"]
 _WAYS: Final = {"rest": "from rest", "up": "ramp up", "down": "ramp down"}
 
 #: Colours of the classes of a map's cells, in the order of the legend: cycles by their plate periods, and by
-#: whether they have fewer, equal or more bounces; longer cycles; other cells by their label.
+#: whether they have fewer, equal or more bounces; longer cycles; other cells by their label, in the page's
+#: words.
+_LABELLED: Final = {
+    "missing": "not computed yet", "at_rest": "at rest", "settling": "still settling",
+    "unstable": "unstable cycle",
+}  # fmt: skip
 _BOUNCES: Final = (", fewer bounces", "", ", more bounces")
 CLASSES: Final = (
     {
@@ -45,8 +50,8 @@ CLASSES: Final = (
         for n, colours in enumerate(PALETTE["periods"], 1)
         for bounces, colour in zip(_BOUNCES, colours, strict=True)
     }
-    | {"longer": PALETTE["longer"][0]}
-    | {name: on_white for name, (on_white, _) in PALETTE["labels"].items()}
+    | {f"over {len(PALETTE['periods'])} periods": PALETTE["longer"][0]}
+    | {_LABELLED.get(name, name): on_white for name, (on_white, _) in PALETTE["labels"].items()}
 )
 
 #: Upper limits of the classes of certified cells, by the modulus of their leading multiplier; and their
@@ -421,7 +426,7 @@ def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
 
     names = list(classes)
     return [
-        Patch(facecolor=classes[names[i]], edgecolor="black", linewidth=0.4, label=names[i].replace("_", " "))
+        Patch(facecolor=classes[names[i]], edgecolor="black", linewidth=0.4, label=names[i])
         for i in np.unique(np.ma.compressed(cells)).tolist()
     ]
 
