@@ -295,7 +295,7 @@ def computed(
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)
         _forget_moved(ledger, settings)
-        runner = _Runner(manager, ledger, executor, progress)
+        runner = _Runner(manager, ledger, executor, settings, progress)
         with ExitStack() as stack:
             if budget is None:
                 _compile(parsed, progress)
@@ -320,9 +320,11 @@ class _Runner:
     """Computes studies in this process: one study, or the levels of a budget."""
 
     def __init__(
-        self, manager: JobManager, ledger: Ledger, executor: Inline, progress: bool | ProgressCallback
-    ) -> None:
+        self, manager: JobManager, ledger: Ledger, executor: Inline, settings: Settings,
+        progress: bool | ProgressCallback,
+    ) -> None:  # fmt: skip
         self._manager, self._ledger, self._executor = manager, ledger, executor
+        self._is_there = settings.ledger_path.exists  # a chunk may make a folder that was moved anew
         self.seconds, self.is_done, self.took = manager.seconds, manager.is_done, manager.took
         self._progress = progress
         self._last: Computed | None = None
@@ -385,10 +387,10 @@ class _Runner:
 
         If interrupted, it cancels the job, so that its chunks stop. Stored results stay.
         """
-        find = self._ledger.find
+        find, record = self._ledger.find, None
         try:
             with display_job(self._progress) as show:
-                while (record := find(job_id)) is not None:
+                while self._is_there() and (record := find(job_id)) is not None:
                     show(_status(record))
                     if record.state not in UNFINISHED:
                         break
@@ -402,8 +404,8 @@ class _Runner:
                 while (job := find(job_id)) and job.state in UNFINISHED and time.monotonic() < deadline:
                     time.sleep(LOOK_SECONDS)
             raise
-        if record is None:
-            raise RunFailed("the folder of the run was changed while it computed")
+        if record is None or not self._is_there():
+            raise RunFailed("the folder of the run was moved, removed or changed while it computed")
         if record.state is not JobState.DONE:
             raise RunFailed(record.error or f"the study was {record.state}")
         return record

@@ -21,7 +21,7 @@ from service import local
 from service.client import Client
 from service.client.errors import InvalidSpecification
 from service.client.models import JobStatus
-from service.errors import DataFolderBusy, InvalidRequest
+from service.errors import DataFolderBusy, InvalidRequest, RunFailed
 from worker.executors.inline import Inline
 from worker.spec.errors import SpecError
 from worker.sweep import SweepSpec
@@ -116,6 +116,16 @@ def test_a_run_that_died_when_its_store_was_moved_begins_anew(
     local.run(SPEC, target, progress=False)
     assert files(target) == before
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_run_whose_folder_is_moved_ends(tmp_path: Path):
+    folder = local.partial_of(tmp_path / "sweep.zarr")
+
+    def move(_: JobStatus) -> None:
+        folder.rename(tmp_path / "moved")
+
+    with pytest.raises(RunFailed, match="the folder of the run was moved, removed"):
+        local.run(SPEC | {"settle": 100_000}, tmp_path / "sweep.zarr", progress=move)
 
 
 def test_what_is_there_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
