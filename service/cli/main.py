@@ -47,26 +47,13 @@ def serve(**options: str | int | None) -> None:
     --token auto. To listen on an address that other machines can reach, set BOUNCE_TOKEN to an access token
     of 16 characters or more, or give a file of tokens.
     """
-    from contextlib import ExitStack
-
-    from service.client.display import display_elapsed
     from worker.kernel_cache import use_cache
 
     use_cache()
     from service.server import embedded
     from service.settings import read_settings
 
-    settings = read_settings(**options)
-    scheduler = settings.scheduler or settings.scheduler_file
-    stage = f"connecting to the scheduler {scheduler}" if scheduler else "starting workers"
-    with ExitStack() as starting:
-
-        def announce(line: str) -> None:
-            starting.close()
-            click.echo(line)
-
-        starting.enter_context(display_elapsed(stage, after=5.0))
-        embedded.serve(settings, announce)
+    embedded.serve(read_settings(**options), click.echo)
 
 
 @main.command("open")

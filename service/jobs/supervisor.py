@@ -24,7 +24,7 @@ from service.ledger.model import JobRecord, JobState, summary_of
 from service.ledger.transactions import Deletion, Unfinished
 from service.settings import Settings
 from worker import store
-from worker.executors.base import Executor
+from worker.executors.base import Executor, ExecutorError
 from worker.store import ChunkCoords
 from worker.study import ChunkOptions, ChunkPaused, ChunkReport
 from worker.study.chunks import SLICE_SECONDS
@@ -242,7 +242,8 @@ class Supervisor:
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
         self.metrics.returned.labels(action.value, type(error).__name__).inc()
         if action in FAILED_TRIES:
-            log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error))
+            trace = None if isinstance(error, ExecutorError | OSError) else error
+            log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error), exc_info=trace)
         if action is Action.PAUSE:
             self._schedule.slots = 0
         run.apply(chunk, action, error, recompute_predecessor)

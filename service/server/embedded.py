@@ -7,6 +7,7 @@ block.
 import errno
 import gc
 import importlib
+import logging
 import os
 import signal
 import socket
@@ -37,6 +38,8 @@ from worker.executors.clusters import SCHEDULER_SETTINGS, CreatedCluster
 from worker.executors.dask import Dask
 from worker.kernel_cache import CacheRefused
 from worker.ownership import PRIVATE_FILE, NotOurs, make_private
+
+log = logging.getLogger(__name__)
 
 #: Seconds for which a computing thread may keep others, which serve requests, from running.
 _SWITCH_SECONDS: Final = 0.001
@@ -88,6 +91,8 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     with ExitStack() as stack:
         stack.enter_context(_stopped_by_signals())
         stack.enter_context(log_to_stderr(settings.log_level))
+        scheduler = settings.scheduler or settings.scheduler_file
+        log.info("%s", f"connecting to the scheduler {scheduler}" if scheduler else "starting workers")
         if settings.private:  # of this process and its workers, which is why `running` does not
             stack.callback(os.umask, os.umask(_PRIVATE_UMASK))
         complete, listener, executor = stack.enter_context(_prepared(settings, None))

@@ -74,7 +74,7 @@ class WorkerAdmission(WorkerPlugin):
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
-        _quiet_when_closing(worker)
+        _drop_messages(worker)
         # Paused, it would wait for memory that compiled kernels never give back. The watchdog judges memory.
         worker.memory_manager.memory_pause_fraction = 1.0
         _set_available(worker, available=False)
@@ -248,14 +248,15 @@ async def _end(worker: Any, status: int) -> None:
     os._exit(status)
 
 
-def _quiet_when_closing(worker: Any) -> None:
-    """Drop a closing worker's log messages about the tasks and connections that end with it."""
+def _drop_messages(worker: Any) -> None:
+    """Drop the log messages of a closing worker, and those of tasks that raise: the service logs these."""
 
-    def is_open(record: logging.LogRecord) -> bool:
-        return worker.status not in (Status.closing, Status.closing_gracefully, Status.closed)
+    def is_kept(record: logging.LogRecord) -> bool:
+        is_open = worker.status not in (Status.closing, Status.closing_gracefully, Status.closed)
+        return is_open and not str(record.msg).startswith("Compute Failed")
 
     for handler in logging.getLogger("distributed").handlers:
-        handler.addFilter(is_open)
+        handler.addFilter(is_kept)
 
 
 class Demand(SchedulerPlugin):

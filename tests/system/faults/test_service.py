@@ -24,7 +24,7 @@ import pytest
 from paths import CACHE, ROOT
 from scripted import DEADLINE, wait_for
 from served import Serving, serving
-from stores import files, is_sound
+from stores import files, is_sound, store_in
 from studies import spec_of
 
 from worker.sweep import SweepSpec
@@ -162,6 +162,16 @@ def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
         check(tmp_path / "data", sweep)
         service.process.send_signal(signal.SIGINT)
         assert service.process.wait(DEADLINE) == 130
+
+
+def test_the_log_has_one_object_a_line_where_a_worker_raises_too(tmp_path: Path):
+    with serving(tmp_path, variables={"BOUNCE_WORKERS": "1"}) as service:
+        path = service.ask("POST", "/v1/jobs", json=SWEEP | {"settle": 10}).headers["Location"]
+        wait_for(lambda: service.ask("GET", path).json()["state"] == "done")
+        (store_in(tmp_path / "data", path.rpartition("/")[2]) / "zarr.json").unlink()
+        wait_for(lambda: service.ask("GET", f"{path}/audit").status_code == 503)
+    lines = [line for line in service.log.read_text().splitlines() if not line.startswith("bounce listens")]
+    assert [line for line in lines if not isinstance(json.loads(line), dict)] == []
 
 
 def check(data: Path, sweep: dict[str, Any]) -> None:
