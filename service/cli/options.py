@@ -65,6 +65,11 @@ class Number(click.FloatRange):
         return number
 
 
+#: A number, called so in messages and help.
+NUMBER: Final = click.types.FloatParamType()
+NUMBER.name = "number"
+
+
 class Day(click.ParamType[str]):
     """A day, or a time of it, as 2026-11-25."""
 

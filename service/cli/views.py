@@ -150,7 +150,8 @@ def _option(field: str, hint: Any, default: object) -> Any:
     if kinds[0] is bool:
         flag = f"{option}/{_option_name(f'no-{field}')}" if default is True else option
         return click.option(flag, is_flag=True, default=None, help=help)
-    choice = click.Choice(get_args(kinds[0])) if get_origin(kinds[0]) is Literal else kinds[0]
+    plain = options.NUMBER if kinds[0] is float else kinds[0]
+    choice = click.Choice(get_args(kinds[0])) if get_origin(kinds[0]) is Literal else plain
     return click.option(option, type=choice, help=help)
 
 
@@ -275,18 +276,20 @@ def share(job: "Job", output: str, data: str | None) -> None:
 
 
 @click.command()
-@click.option("--gamma", type=float, required=True, help="Γ")
-@click.option("--omega", type=float, required=True, help="Ω")
-@click.option("--xi", type=float, required=True, help="ξ")
+@click.option("--gamma", type=options.NUMBER, required=True, help="Γ")
+@click.option("--omega", type=options.NUMBER, required=True, help="Ω")
+@click.option("--xi", type=options.NUMBER, required=True, help="ξ")
 @click.option("--model", default="soft", show_default=True, help="Contact model.")
-@click.option("--restitution", type=float, help="Restitution of the contact.")
-@click.option("--penetration", type=float, help="Penetration of a soft contact, in plate amplitudes.")
+@click.option("--restitution", type=options.NUMBER, help="Restitution of the contact.")
+@click.option(
+    "--penetration", type=options.NUMBER, help="Penetration of a soft contact, in plate amplitudes."
+)
 @click.option("--settle", type=int, help="Plate periods before the first sample.  [default: 200]")
 @click.option("--periods", type=int, help="Plate periods to sample.  [default: 4]")
 @click.option("--samples", type=int, help="Samples per plate period.  [default: 200]")
-@click.option("--drop", type=(float, float), metavar="HEIGHT PHASE",
+@click.option("--drop", type=(options.NUMBER, options.NUMBER), metavar="HEIGHT PHASE",
               help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
-@click.option("--contact", type=(float, float), metavar="ELONGATION VELOCITY",
+@click.option("--contact", type=(options.NUMBER, options.NUMBER), metavar="ELONGATION VELOCITY",
               help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
 @options.format_option(*_MOTIONS)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,

@@ -6,7 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import xarray
+from click.testing import CliRunner
 
+from service.cli.main import main
 from service.cli.options import _message
 from service.cli.output import estimate_line, job_report
 from service.cli.views import table
@@ -106,6 +108,11 @@ def test_a_table_of_flights_has_their_exponents_and_one_without_rows_says_none()
     assert head.split() == ["omega", "flight", "flight_time", "lyapunov_1", "lyapunov_2"]
     assert row.split() == ["0.5", "0", "1", "0.1", "-2"]
     assert table(result.isel(omega=[]), ["flight_time"]).endswith(": none")
+
+
+def test_text_in_place_of_a_number_is_told_so():
+    for command in (["diagram", "ID", "--omega", "0,6"], ["trajectory", "--gamma", "0,6"]):
+        assert "'0,6' is not a valid number." in CliRunner().invoke(main, command).output
 
 
 def test_an_error_of_renaming_names_the_target(tmp_path: Path):
