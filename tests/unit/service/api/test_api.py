@@ -86,17 +86,6 @@ def test_results_are_drawn(client: TestClient, figure_2: str, path: str):
 # Operation
 
 
-def test_health(tmp_path: Path):
-    held = Held(capacity=0)
-    with service(tmp_path, held) as client:
-        assert get(client, "/healthz") == {"status": "ok"}
-        answer = client.get("/readyz")
-        assert (answer.status_code, answer.headers["Content-Type"]) == (503, "application/problem+json")
-        assert int(answer.headers["Retry-After"]) > 0
-        held.capacity = 1
-        wait_for(lambda: client.get("/readyz").status_code == 200)
-
-
 def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient):
     answer = client.get("/docs")
     assert answer.headers["Content-Type"].startswith("text/html")

@@ -9,8 +9,6 @@ from scripted import Held, sweep, wait_for
 from served import computing, finished, get, service
 from tables import for_each
 
-from worker.studies import parse, study_of
-
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
 
@@ -86,20 +84,6 @@ def test_a_budget_leaves_what_somebody_else_wants(tmp_path: Path, how: str):
             client.post(f"/v1/jobs/{queued['id']}/resume")
         assert "was over before" in budget(client, small, 0.4)["budget"]["error"]
         assert view_of(client, queued)["state"] == "queued"
-
-
-# Estimates
-
-
-def test_an_estimate_is_of_a_sample_where_a_worker_tells_it_and_by_the_table_elsewhere(tmp_path: Path):
-    with computing(tmp_path) as client:
-        finished(client, SWEEP)  # its kernel is compiled then
-        auto = SWEEP | {"model": {"kind": "auto"}, "exponents": 0}
-        costs = [client.post("/v1/jobs?validate_only=true", json=spec).json() for spec in (SWEEP, auto)]
-        assert [cost["basis"] for cost in costs] == ["measured", "table"]
-        spec = parse(SWEEP)
-        by_table = study_of(spec).estimate(spec, study_of(spec).plan(spec))
-        assert by_table.at(2.0).core_seconds == 2.0 * by_table.core_seconds != costs[0]["core_seconds"]
 
 
 # Links

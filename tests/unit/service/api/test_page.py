@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray
 from fastapi.testclient import TestClient
 from scripted import Held
 from served import finished, read, service
@@ -18,13 +17,7 @@ from service.api.routers import page
 
 SCRIPTS = page.FILES / "js"
 
-LINE = spec_of((1.0, 6.0, 101), [0.5, 0.6], 0.26, name="Fig. 2, coarse", window=(60, 40, 16))
 RAMP = spec_of((0.4, 1.2, 81), 0.6, 0.05, ramp="both", window=(120, 30))
-
-
-@pytest.fixture(scope="module")
-def line(client: TestClient) -> str:
-    return finished(client, LINE)
 
 
 @pytest.fixture(scope="module")
@@ -86,38 +79,9 @@ def test_the_scripts_know_the_kernel_s_outcome_codes():
     assert codes == {outcome.name.replace("_", ""): outcome.value for outcome in Outcome}
 
 
-@pytest.mark.parametrize("min_flight", [None, 3.0])
-def test_diagram_and_mode_map_count_the_same_flights(client: TestClient, line: str, min_flight: float | None):
-    query = {} if min_flight is None else {"min_flight": min_flight}
-    diagram, modes = (
-        read(client, f"{line}/diagram", omega=0.5, **query),
-        read(client, f"{line}/modes", **query),
-    )
-    shortest = {diagram.attrs["min_flight"], modes.attrs["min_flight"]}
-    assert shortest == {0.05 if min_flight is None else min_flight}
-    for name in ("outcome", "bounces", "periods"):
-        np.testing.assert_array_equal(diagram[name], modes[name][0])
-    stored = read(client, f"{line}/diagram", omega=0.5)
-    assert stored.bounces.equals(diagram.bounces) == (min_flight != 3.0)
-
-
 def test_files_outside_the_folder_are_not_served(client: TestClient):
     for path in ("/static/../page.py", "/static/%2e%2e/page.py", "/static/js/..%2f..%2fpage.py"):
         assert client.get(path).status_code == 404
-
-
-# Windows
-
-
-def test_a_window_of_a_diagram_and_of_a_mode_map_has_the_cells_inside(client: TestClient, line: str):
-    whole = read(client, f"{line}/diagram", omega=0.5)
-    part = read(client, f"{line}/diagram", omega=0.5, start=1.5, stop=2.04, every=2)
-    xarray.testing.assert_equal(part, whole.sel(gamma=slice(1.5, 2.04)).isel(gamma=slice(None, None, 2)))
-    nearest = read(client, f"{line}/diagram", omega=0.5, start=2.31, stop=2.31)
-    assert nearest.gamma.values.tolist() == [pytest.approx(2.3)]
-    modes = read(client, f"{line}/modes", gamma_start=1.5, gamma_stop=2.04, omega_start=0.55)
-    assert modes.sizes == {"omega": 1, "gamma": 11}
-    xarray.testing.assert_equal(modes, read(client, f"{line}/modes").sel(gamma=slice(1.5, 2.04), omega=[0.6]))
 
 
 # The trajectory of a cell
