@@ -10,14 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-import xarray
-from paths import ROOT
 from scripted import TWO_LINES, Held, Scripted, sweep, wait_for
 from served import service
 from tables import for_each
 
 from kernel.params import Outcome
-from service import client as package
 from service.client import (
     BounceError,
     Client,
@@ -183,15 +180,6 @@ def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Pat
     assert flags == len(job.diagram(omega=0.5).outcome.flag_values) == len(Outcome)
 
 
-def test_the_store_opens_lazily(job: Job):
-    store = job.open()
-    assert isinstance(store, xarray.Dataset)
-    assert store.flight_time.dims == ("direction", "xi", "omega", "gamma", "flight")
-    assert not store.flight_time.variable._in_memory
-    line = store.isel(direction=0, xi=0, omega=0)
-    np.testing.assert_array_equal(line.flight_time.load(), job.diagram(omega=0.5).flight_time)
-
-
 # How things look, and what is exported
 
 
@@ -203,19 +191,3 @@ def test_an_error_is_read_in_the_process_that_it_is_sent_to():
         pickler.dump(error)
         again = pickle.loads(sent.getvalue())
         assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
-
-
-def test_every_error_is_exported_and_descends_from_one():
-    exported = [getattr(package, name) for name in package.__all__]
-    errors = [item for item in exported if isinstance(item, type) and issubclass(item, Exception)]
-    assert all(issubclass(error, BounceError) for error in errors)
-    from service.client import errors as module
-
-    declared = {
-        name for name, kind in vars(module).items() if isinstance(kind, type) and issubclass(kind, Exception)
-    }
-    assert declared <= set(package.__all__)
-    document = (ROOT / "docs" / "python-client.md").read_text()
-    assert all(name in document for name in declared)
-    assert package.__all__ == sorted(package.__all__)
-    assert set(package.__all__) <= set(dir(package))

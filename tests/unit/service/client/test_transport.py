@@ -372,13 +372,6 @@ def test_a_store_that_the_service_cannot_have_written_is_refused(document: Any, 
         assert [path.rpartition("/zarr/")[2] for _, path, _ in server.requests[1:]] == ["zarr.json"]
 
 
-def test_a_store_of_zarrs_version_2_is_not_looked_for():
-    """Its compressors and filters can unpickle."""
-    answers = (Answer(body=view()), Answer(404, {"detail": "nothing"}))
-    with scripted(*answers) as (_, client), pytest.raises(StoreUnreachable):
-        client.job(ID).open()
-
-
 class Marks:
     """Makes a folder where it is unpickled."""
 
