@@ -29,6 +29,7 @@ def test_every_setting_is_described_in_one_sentence(name: str):
         ({"host": "0.0.0.0"}, "needs a token: set BOUNCE_TOKEN or BOUNCE_TOKEN_FILE"),
         ({"workers": 100_000}, "workers"),
         ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
+        ({"token": "sixteen characters with s3cret"}, "must be at least 16 ASCII characters without spaces"),
         ({"stores": "ftp://somewhere"}, "stores"),
         ({"port": 65536}, "port"),
         ({"worker_memory": 1000}, "worker_memory"),

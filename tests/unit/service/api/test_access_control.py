@@ -17,9 +17,8 @@ from tables import for_each
 
 from service.api.app import create_app
 from service.cli.main import main
-from service.errors import NotStarted
 from service.server.logging import log_to_stderr
-from service.settings import Settings, read_settings
+from service.settings import Settings
 
 TOKEN = "a-token-of-thirty-two-characters"
 SWEEP = sweep().as_submitted()
@@ -155,13 +154,6 @@ def test_listening_beyond_loopback_requires_a_token(tmp_path: Path, host: str):
     assert f"to listen on {host}" in done.output
     assert "BOUNCE_TOKEN" in done.output
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("token", ["x" * 15, "sixteen characters with spaces"])
-def test_a_weak_token_is_refused(token: str):
-    with pytest.raises(NotStarted, match=r"token: .*at least 16 ASCII characters") as refused:
-        read_settings(token=token)
-    assert token not in str(refused.value)
 
 
 # Host
