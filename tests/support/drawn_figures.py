@@ -18,9 +18,6 @@ from service.figures.drawing import Caption
 from service.pictures import DPI, STYLE
 from service.presets import FigurePreset
 
-#: The last Γ that bounces on the way down at ξ = 0.05 in steps of 0.004, by Ω: simulated, 120 periods a step.
-DESCENDING = {0.56: 0.743, 0.6: 0.554, 0.62: 0.508, 0.66: 0.6, 0.7: 0.671}
-
 #: What makes each figure small enough for a test, its cells still the paper's.
 SMALL: Mapping[int, Mapping[str, Any]] = {
     1: {},
@@ -31,7 +28,10 @@ SMALL: Mapping[int, Mapping[str, Any]] = {
     6: {},
     7: {"gamma": {"start": 0.05, "stop": 6.0, "num": 120}},
     8: {"omega": {"start": 0.05, "stop": 2.0, "num": 79}},
-    9: {"omega": [0.42, 0.44, 0.46, *DESCENDING], "gamma": {"start": 0.1, "stop": 1.6, "num": 376}},
+    9: {
+        "omega": [0.42, 0.44, 0.46, 0.56, 0.6, 0.62, 0.66, 0.7],
+        "gamma": {"start": 0.1, "stop": 1.6, "num": 376},
+    },
 }
 
 #: What each figure draws from these cells.
@@ -76,8 +76,3 @@ class Pictures(UserDict[int, Made]):
             drawing.compose(figure := Figure(dpi=DPI, layout="constrained"))
             self[number] = Made(drawing.encoded("png"), drawing.caption, read_back(figure))
         return self[number]
-
-
-def diagram(client: Client, number: int, sweep: int = 0, **line: Any):
-    """The diagram that the figure was drawn from."""
-    return client.submit(SMALL_FIGURES[number].sweeps[sweep]).diagram(**line)

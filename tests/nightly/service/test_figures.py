@@ -26,13 +26,11 @@ if __name__ == "__main__":
     use_cache(CACHE)  # before kernels are declared below
 
 from artists import difference
-from drawn_figures import DESCENDING, DRAWN, SMALL, SMALL_FIGURES, Pictures, diagram
+from drawn_figures import DRAWN, SMALL, SMALL_FIGURES, Pictures
 from paths import CACHE, ROOT
 from PIL import Image
 from served import service_at
 
-from kernel.params import Outcome
-from service import presets
 from service.client import Client
 from service.figures import catalogue
 from service.figures.drawing import WIDTH
@@ -84,35 +82,6 @@ def test_svg_holds_letters_as_text_and_dots_as_an_image(client: Client, pictures
     assert "<svg" in content
     assert "<text" in content
     assert ("<image" in content) == (number == 4)
-
-
-def test_fig_5_onsets_lie_on_eq_25(client: Client):
-    job = client.submit(SMALL_FIGURES[5].sweeps[0])
-    for xi in presets.DAMPINGS:
-        onset = job.threshold(xi=xi)
-        np.testing.assert_allclose(onset.up, onset.analytic, rtol=0.01)
-
-
-def test_fig_7_is_not_chaotic_at_two(client: Client):
-    *_, hardly_elastic, elastic, stepped = range(len(SMALL_FIGURES[7].sweeps))
-    for sweep in range(2, hardly_elastic):
-        assert np.mean(diagram(client, 7, sweep).outcome == Outcome.APERIODIC) < 0.2
-    assert np.mean(diagram(client, 7, hardly_elastic).outcome == Outcome.APERIODIC) > 0.2
-    assert np.mean(diagram(client, 7, elastic).outcome == Outcome.APERIODIC) > 0.5
-    assert np.mean(diagram(client, 7, stepped).outcome == Outcome.APERIODIC) > 0.9
-    # docs/model.md, section 5: on an ideal plate (3, 4) at Γ = 2 and (1, 2) at Γ = 3 from rest; the former
-    # occurs here too.
-    cell = diagram(client, 7, sweep=2).sel(gamma=2.0, method="nearest")
-    assert (int(cell.bounces), int(cell.periods)) == (3, 4)
-    found = np.sort(np.unique(np.round(cell.flight_time.values, 6)))
-    np.testing.assert_allclose(found, [1.841623253802, 4.885760696436, 5.084577776933], atol=0.02)
-
-
-def test_fig_9_descends_to_models_thresholds(client: Client):
-    loop = client.submit(SMALL_FIGURES[9].sweeps[0]).threshold(xi=0.05)
-    for omega, gamma in DESCENDING.items():
-        assert float(loop.down.sel(omega=omega)) == pytest.approx(gamma, abs=0.006)
-    np.testing.assert_allclose(loop.up, loop.analytic, atol=0.006)
 
 
 def write() -> None:

@@ -1,6 +1,5 @@
 """The figures that there are, their parameters, and how captions sort claims."""
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,33 +13,6 @@ from service.client import BounceError
 from service.figures import catalogue, schematics
 from service.figures.drawing import Caption, compared, left_open
 from service.figures.onsets import minima
-from worker.sweep import SweepSpec
-
-
-def test_every_figure_is_listed_by_its_number_with_valid_sweeps():
-    assert list(catalogue.FIGURES) == list(range(1, 10))
-    for number, figure in catalogue.FIGURES.items():
-        assert figure.number == number
-        assert figure.title
-        names = [SweepSpec.parse(dict(sweep)).name for sweep in figure.sweeps]
-        assert all(re.match(rf"figure {number}(,|$)", name) for name in names)
-        assert len(set(names)) == len(names)
-
-
-def test_the_parameters_are_the_papers():
-    spring, ball, _ = (SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[3].sweeps)
-    assert spring.xi / spring.omega == pytest.approx(650)
-    assert (spring.xi, ball.model.kind, ball.model.restitution) == (10, "ball", 0)
-    spring, ball, _ = (SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[4].sweeps)
-    assert spring.xi / spring.omega == pytest.approx(650)
-    assert (spring.xi, ball.model.kind, ball.model.restitution) == (0.5, "ball", 0.15)
-    assert SweepSpec.parse(dict(catalogue.FIGURES[5].sweeps[0])).xi == (0.01, 0.05, 0.2, 1.0)
-    assert SweepSpec.parse(dict(catalogue.FIGURES[7].sweeps[0])).omega == (0.67, 1.0, 1.24)
-    assert SweepSpec.parse(dict(catalogue.FIGURES[8].sweeps[0])).gamma == (1.0, 2.0, 3.0)
-    near_two = [SweepSpec.parse(dict(sweep)) for sweep in catalogue.FIGURES[7].sweeps[1:]]
-    assert {sweep.omega for sweep in near_two} == {1.0}
-    loop = SweepSpec.parse(dict(catalogue.FIGURES[9].sweeps[0]))
-    assert (loop.xi, loop.protocol.direction, loop.window) == (0.05, "both", (200, 20))
 
 
 @for_each("which", ["10", "0", "-1", "one", "ALL", ""])
