@@ -92,25 +92,6 @@ def test_every_job_gets_turns_however_many_smaller_ones_follow(tmp_path: Path):
 # Cancelling and resuming
 
 
-def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path):
-    held = Held()
-    with running(tmp_path, held) as service:
-        job = service.submit(sweep())
-        wait_for(lambda: held.held() == 4)
-        held.let_go()  # one is written before the cancel
-        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
-        service.manager.cancel(job.id)
-        url = service.settings.store_of(job.store)
-        wait_for(lambda: store.is_cancelled(url))
-        assert service.manager.cancel(job.id).state is JobState.RUNNING  # twice is once
-        for _ in range(4):
-            assert service.job(job).state is JobState.RUNNING
-            held.let_go()
-        job = service.until(job, JobState.CANCELLED)
-    assert (job.chunks_done, job.error) == (1, None)
-    assert held.held() == 0
-
-
 def test_a_job_deleted_while_its_store_is_made_leaves_none(
     tmp_path: Path, inline: Inline, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
@@ -128,24 +109,6 @@ def test_a_job_deleted_while_its_store_is_made_leaves_none(
 
 
 # What goes wrong
-
-
-def test_a_chunk_that_fails_fails_the_job_and_the_rest_is_computed(tmp_path: Path):
-    executor, spec = Scripted({1: [ValueError("the spring broke")] * 3}), sweep()
-    with closing(executor), running(tmp_path, executor) as service:
-        job = service.until(service.submit(spec), JobState.FAILED)
-        assert job.error.startswith("chunk 1 (rest, gamma 0.")
-        assert job.error.endswith("omega 0.5, xi 0.26): ValueError: the spring broke (3 times)")
-        assert job.chunks_done == job.chunks_total - 1
-        with service.ledger.reading() as ledger:
-            [failure] = ledger.failures(job)
-        assert (failure.chunk, failure.tries, failure.place) == (1, 3, job.error.partition(":")[0])
-        assert "raise self.script" in failure.traceback
-        tried = len(executor.tried)
-        job = service.until(service.submit(spec), JobState.DONE)
-        with service.ledger.reading() as ledger:
-            assert ledger.failures(job) == []
-    assert executor.tried[tried:] == [1]
 
 
 @pytest.mark.parametrize("where", [".", ".partial", "outcome"])
@@ -232,19 +195,6 @@ def test_a_chunk_found_damaged_is_removed_and_computed_again_by_a_running_job_to
         with pytest.raises(UnknownJob):
             service.manager.supervisor.repair("0" * 32, [])
     assert [chunk for _, chunk in held.order].count(0) == 3
-
-
-def test_a_store_that_cannot_be_made_fails_its_job_alone(tmp_path: Path, inline: Inline):
-    spec = sweep()
-    with running(tmp_path, inline) as service:
-        place = Path(service.settings.store_of(f"1-{spec.job_id(KERNEL_VERSION)}.zarr"))
-        place.parent.mkdir(parents=True)
-        place.write_text("in the way")
-        job = service.until(service.submit(spec), JobState.FAILED)
-        assert job.error.startswith("the job cannot start: ")
-        service.until(service.submit(sweep(omega=0.6)), JobState.DONE)
-        place.unlink()
-        service.until(service.submit(spec), JobState.DONE)
 
 
 def test_a_job_whose_run_breaks_is_made_anew_and_fails_the_third_time(
