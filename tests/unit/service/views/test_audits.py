@@ -136,18 +136,6 @@ def test_certificates_looser_than_the_tolerance_do_not_count(client: TestClient)
     assert found.sel(question="mode").sampled == found.cells
 
 
-def test_time_steps_follow_the_cells_of_a_soft_contact(client: TestClient):
-    soft = {"kind": "soft", "penetration": 1e-2, "restitution": 0.1}
-    job = finished(client, PLANE | {"gamma": [0.7, 1.2, 1.6, 2.3], "omega": [0.5, 0.6, 0.8], "model": soft})
-    found = audited(client, job, cells=20)
-    integrator = found.sel(question="integrator")
-    assert (integrator.sampled, integrator.changed, integrator.undecided) == (10, 0, 0)
-    assert integrator.largest < 1e-4
-    assert "0 of 10 cells differ from time steps" in found.attrs["sentence"]
-    rigid = finished(client, PLANE | {"gamma": [1.2, 1.6], "omega": [0.5, 0.6], "settle": 30})
-    assert audited(client, rigid, cells=20).sel(question="integrator").sampled == 0
-
-
 def test_flights_are_judged_where_less_than_a_cycle_is_kept(client: TestClient):
     """Also where nothing is kept but the last hops of a chatter, which do not count."""
     longer = {"gamma": [0.7, 1.2, 1.6, 2.0, 2.3, 2.5], "omega": [0.5, 0.6, 0.7], "xi": 0.26, "keep": 1}

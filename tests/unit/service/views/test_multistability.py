@@ -24,26 +24,11 @@ SPEC: dict[str, Any] = {
     "name": "Fig. 2", "gamma": [3.56, 3.58, 3.6, 3.62, 3.64], "omega": [0.5, 0.502], "xi": 0.26,
     "model": {"kind": "rigid"}, "protocol": {"kind": "multistability"}, "settle": 300, "observe": 60,
 }  # fmt: skip
-#: Two attractors in every cell; one grazes, which changes its mode (worker/basins/test_multistability.py).
-MODES = [["aperiodic", "(3,4)", "(3,4)", "(4,4)", "(2,2)"], ["(1,2)"] * 5]
 
 
 @pytest.fixture(scope="module")
 def job(python_client: Client) -> Job:
     return python_client.submit(SPEC).wait(progress=False)
-
-
-def test_one_attractor_has_one_id_in_all_cells(job: Job):
-    found = job.multistability()
-    assert found.attrs["complete"]
-    assert found["count"].values.tolist() == [[2] * 5] * 2
-    assert (found.attrs["several"], found.attrs["several_by_drops"]) == (1.0, 1.0)
-    assert (found.attractor.values.tolist(), found.cells.values.tolist()) == ([1, 2], [10, 10])
-    assert job.multistability(omega=found.omega.values[0]).cells.values.tolist() == [5, 5]
-    assert np.all(np.sort(found.id) == [1, 2])
-    line = found.isel(omega=0)
-    labels = [line.label.values[line.id.values == number].tolist() for number in (1, 2)]
-    assert sorted(labels) == sorted(MODES)
 
 
 def test_what_is_refused(client: TestClient, job: Job):

@@ -236,31 +236,6 @@ def _job_orbits(python_client: Client, spec: dict[str, Any], **query: Any) -> An
     return job, job.orbits(progress=False, **query)
 
 
-@for_each(("model", "flip"), [
-    ({"kind": "soft"}, 2.504559485239), ({"kind": "rigid", "restitution": 0.3}, 2.518213336734),
-])  # fmt: skip
-def test_cycles_are_continued_from_settled_cells(python_client: Client, model: dict[str, Any], flip: float):
-    """Each on its own contact; flips of the double as of issue 45."""
-    job, found = _job_orbits(python_client, FIGURE_2 | {"model": model})
-    assert found.attrs["model"].startswith(model["kind"])
-    assert found.sizes["skipped"] == 0  # every cell lies on a branch that was followed
-    assert found.branch_periods.values.tolist()[:2] == [1, 2]
-    double = found.isel(branch=1)
-    on_it = (found.event_branch == 1) & (found.event_kind == "flip") & (found.event_gamma < 2.6)
-    assert found.event_gamma.values[on_it.values] == pytest.approx([flip], abs=1e-9)
-    # it begins at the flip of the single flight, and is not gone through twice
-    gamma = double.gamma.values[: int(double.points)]
-    assert gamma.min() == pytest.approx(2.08, abs=0.01)
-    assert (np.diff(gamma[gamma < 2.7]) > 0).all() or (np.diff(gamma[gamma < 2.7]) < 0).all()
-    # the branch passes through the sweep's own cells
-    near = int(np.nanargmin(np.abs(double.gamma.values - 2.3)))
-    settled = job.diagram().flight_time.sel(gamma=2.3).values
-    for flight in double.flight_time.values[near][:2]:
-        assert np.nanmin(np.abs(settled - flight)) < 0.2
-    assert bool(double.stable[near])
-    assert int(double.violations[near]) == 0
-
-
 def test_cells_beyond_as_many_branches_as_are_followed_are_named(
     python_client: Client, monkeypatch: pytest.MonkeyPatch
 ):

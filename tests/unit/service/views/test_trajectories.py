@@ -63,22 +63,6 @@ def test_a_start_that_cannot_be_names_the_rule(
     assert problem["rule"].startswith(rule)
 
 
-@pytest.mark.parametrize("model", MODELS, ids=lambda model: str(model["kind"]))
-def test_a_drop_falls_freely_until_it_lands(client: TestClient, model: dict[str, Any]):
-    """Height and velocity of a mass at rest in the laboratory: z2 = z0 - t**2/(2 Gamma), t in rad."""
-    start = {"kind": "drop", "height": 3.2, "phase": 1.5}
-    path = trajectory(client, model=model, settle=0, start=start, periods=6)
-    phase, z2, flies = (np.array(path[name]) for name in ("phase", "z2", "in_flight"))
-    assert phase[0] == 1.5
-    np.testing.assert_allclose(path["plate"], np.cos(phase), atol=1e-12)
-    fallen = (np.cos(1.5) + 3.2) - (phase - 1.5) ** 2 / (2 * CELL["gamma"])
-    landed = int(np.argmax(fallen < np.cos(phase)))
-    assert landed > 10
-    assert np.all(flies[:landed])
-    np.testing.assert_allclose(z2[:landed], fallen[:landed], atol=1e-12)
-    assert path.takeoff[0] > phase[landed - 1]  # the drop is no flight that took off
-
-
 @for_each("settle", [60, 3, 1])
 @for_each("model", MODELS)
 def test_flights_are_those_of_a_sweep(client: TestClient, model: dict[str, Any], settle: int):
