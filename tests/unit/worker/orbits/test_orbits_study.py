@@ -27,23 +27,6 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> xarray.Dataset:
     return computed(str(tmp_path_factory.mktemp("orbits") / "a.zarr"), OrbitsSpec.parse(SPEC))
 
 
-def test_points_are_those_of_the_kernel(stored: xarray.Dataset):
-    cell = stored.sel(xi=0.05, omega=0.6, branch="1-1")
-    branch, _ = branch_and_events(0.6, 0.05, 1)
-    shown = np.isfinite(cell.gamma.values)
-    rows = np.searchsorted(branch.flight_time, cell.flight_time.values[shown])
-    assert 50 < len(rows) <= 60
-    assert (np.diff(rows) > 0).all()
-    for name in ("gamma", "takeoff_phase", "elongation", "elongation_velocity", "impact_velocity", "stable",
-                 "violations"):  # fmt: skip
-        assert cell[name].values[shown].tolist() == getattr(branch, name)[rows].tolist(), name
-    assert cell.multiplier.values[shown].tolist() == branch.multiplier[rows, 0].tolist()
-    assert cell.other_multiplier.values[shown].tolist() == branch.multiplier[rows, 1].tolist()
-    # both ends of what lies below gamma_max are stored
-    below = np.flatnonzero(branch.gamma <= 8.0)
-    assert (rows[0], rows[-1]) == (below[0], below[-1])
-
-
 def test_events_are_those_of_the_kernel_padded_and_counted(stored: xarray.Dataset):
     cell = stored.sel(xi=0.05, omega=0.6)
     names = stored.event_kind.attrs["flag_meanings"].split()

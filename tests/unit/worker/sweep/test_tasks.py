@@ -1,6 +1,5 @@
 """One chunk: what is stored is what the kernel says of its cells, line by line, and nothing else."""
 
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +9,9 @@ from kernel_runs import Model, run_line
 from scripted import small
 from stores import files
 
-from kernel.cycles.starts import cycles_at
-from kernel.cycles.thresholds import thresholds
 from kernel.params import STATE_FIELDS, Cell, Outcome
 from worker import store
-from worker.study import ChunkCancelled, ChunkOptions, ChunkPaused, Plan, PredecessorMissing
+from worker.study import ChunkOptions, ChunkPaused, Plan, PredecessorMissing
 from worker.study.chunks import with_options
 from worker.sweep import AXES, SweepSpec, task
 from worker.sweep.plan import make_plan
@@ -90,25 +87,6 @@ def test_ramp_carries_its_state_across_chunks(tmp_path, axis, direction):
         where = tuple(slice(None) if name == axis else place[beside.index(name)] for name in AXES)
         for name in names:
             assert np.array_equal(found[name][where][order], getattr(expected, name), equal_nan=True), name
-
-
-def test_a_ramp_that_starts_on_the_cycle_ends_at_its_fold(tmp_path):
-    """A line in two chunks: it bounces down to its fold, in steps of 1e-5."""
-    fold = thresholds(0.6, 0.05).down
-    spec = small(
-        gamma={"start": fold - 1e-4, "stop": fold + 9e-4, "num": 101}, omega=0.6, xi=0.05,
-        model={"kind": "rigid"}, settle="auto",
-        protocol={**ramp("gamma", "down"), "start": {"periods": 1}},
-    )  # fmt: skip
-    plan, url = stored(tmp_path, spec, (1, 1, 51))
-    assert len(plan) == 2
-    for chunk in plan:
-        run_chunk(spec, chunk, url)
-    found = store.read_slice(url, ("flight_time", "outcome"), direction=0, xi=0, omega=0)
-    gamma = spec.axis_values("gamma")
-    assert abs(gamma[found["outcome"] != Outcome.AT_REST].min() - fold) < 2e-5  # bouncing outlives the window
-    cycle = cycles_at(Cell(float(gamma[-1]), 0.6, 0.05), 1).flight_time[-1]
-    assert found["flight_time"][-1, 0] == pytest.approx(cycle, abs=1e-9)
 
 
 def test_ramp_without_predecessor_is_refused_and_writes_nothing(tmp_path):
@@ -198,22 +176,6 @@ def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, monkeypatc
     assert files(url) == files(whole)
     (warning,) = (record.getMessage() for record in caplog.records)  # it does not try again
     assert "chunk 0 cannot pause, its checkpoint cannot be written" in warning
-
-
-@pytest.mark.parametrize("exponents", [0, 1], ids=["in lanes", "one by one"])
-def test_cancelling_stops_a_chunk_within_a_cell(tmp_path, exponents):
-    """A single cell takes a quarter of a minute at least."""
-    spec = small(
-        gamma=3.7, omega=0.5, xi=0.05, model={"kind": "soft"}, exponents=exponents, settle=10_000_000,
-        observe=10_000_000,
-    )  # fmt: skip
-    plan, url = stored(tmp_path, spec)
-    timer = threading.Timer(0.3, store.set_cancelled, [url])
-    timer.start()
-    with pytest.raises(ChunkCancelled):
-        run_chunk(spec, plan[0], url)
-    timer.join()
-    assert not store.read_slice(url, ["outcome"])["outcome"].any()
 
 
 def test_an_error_names_the_cells(tmp_path, monkeypatch):
