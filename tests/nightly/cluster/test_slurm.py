@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -142,7 +142,6 @@ class Allocations:
         self._since: dict[str, float] = {}
         self.seen: set[str] = set()
         self.ended: set[str] = set()  # cancelled, or timed out
-        self.most = 0  # at a time
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._follow)
 
@@ -163,7 +162,6 @@ class Allocations:
                     self.ended.add(job)
             self.seen |= jobs
             self.ended |= self.seen & self._slurm.timed_out()
-            self.most = max(self.most, len(jobs))
 
 
 @contextmanager
@@ -211,10 +209,8 @@ def collected() -> Iterator[None]:
 
 
 @contextmanager
-def computing(
-    folder: Path, grow: Callable[[Any], object], walltime: str = "00:10:00"
-) -> Iterator[tuple[Dask, Running]]:
-    """A service on a cluster whose scheduler and workers speak TLS, with dask-jobqueue's certificates."""
+def computing(folder: Path, walltime: str) -> Iterator[Running]:
+    """A service on two jobs of a cluster that speaks TLS, with dask-jobqueue's certificates."""
     cluster = folder / "cluster"
     cluster.mkdir()
 
@@ -234,14 +230,14 @@ def computing(
             worker_extra_args=["--host", "127.0.0.1", "--no-dashboard", "--dashboard-address", "127.0.0.1:0"],
             job_script_prologue=[f"export PYTHONPATH={ROOT}", f"export NUMBA_CACHE_DIR={CACHE}"],
         )
-        grow(made)
+        made.scale(jobs=2)
         return made
 
     with (
         closing(Dask(CreatedCluster(make, "slurm:cluster"), timeout=60)) as executor,
         running(folder / "data", executor, chunk_tries=1) as service,
     ):
-        yield executor, service
+        yield service
 
 
 @pytest.mark.parametrize(
@@ -254,7 +250,7 @@ def test_allocations_that_end_are_replaced_and_no_chunk_is_blamed(
 ):
     errors = noting_errors(monkeypatch)
     with (
-        computing(tmp_path, lambda made: made.scale(jobs=2), walltime) as (_, service),
+        computing(tmp_path, walltime) as service,
         Allocations(slurm, cancel_after) as allocations,
     ):
         service.jobs_until(
@@ -264,12 +260,3 @@ def test_allocations_that_end_are_replaced_and_no_chunk_is_blamed(
             patience=PATIENCE,
         )
     assert blamed(errors) == []
-
-
-def test_an_adaptive_batch_queue_grows_from_nothing_and_shrinks(slurm: Slurm, tmp_path: Path):
-    def grow(made: Any) -> None:
-        made.adapt(minimum=0, maximum=3, interval="1 s", target_duration="10 s")
-
-    with computing(tmp_path, grow) as (executor, service), Allocations(slurm) as allocations:
-        service.jobs_until(lambda: allocations.most >= 2, chunks=400, seconds=0.5, patience=PATIENCE)
-        wait_for(lambda: executor.workers() == 0 and not slurm.jobs(), slurm.log, 180)
