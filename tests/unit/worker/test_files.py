@@ -28,6 +28,15 @@ def test_a_file_is_replaced_once_it_is_complete(tmp_path: Path):
     assert files(tmp_path) == {"out.nc"}
 
 
+def test_what_fails_leaves_the_old_file(tmp_path: Path):
+    path = tmp_path / "out.nc"
+    path.write_bytes(b"old")
+    with pytest.raises(TypeError), complete_file(path) as file:
+        file.writelines([b"half", None])  # type: ignore[list-item]
+    assert path.read_bytes() == b"old"
+    assert files(tmp_path) == {"out.nc"}
+
+
 def test_a_file_that_cannot_be_written_to_its_end_replaces_nothing(tmp_path: Path):
     """What is small reaches the disk when the file is closed."""
     path = tmp_path / "out.nc"

@@ -30,7 +30,6 @@ from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
-from worker.spec.errors import SpecTooLarge
 from worker.studies import parse, study_of
 from worker.study import Chunk, ChunkReport
 from worker.sweep import SweepSpec
@@ -90,6 +89,25 @@ def test_every_job_gets_turns_however_many_smaller_ones_follow(tmp_path: Path):
 
 
 # Cancelling and resuming
+
+
+def test_a_running_job_is_cancelled_when_nothing_writes_any_more(tmp_path: Path):
+    held = Held()
+    with running(tmp_path, held) as service:
+        job = service.submit(sweep())
+        wait_for(lambda: held.held() == 4)
+        held.let_go()  # one is written before the cancel
+        wait_for(lambda: service.job(job).chunks_done == 1 and held.held() == 4)
+        service.manager.cancel(job.id)
+        url = service.settings.store_of(job.store)
+        wait_for(lambda: store.is_cancelled(url))
+        assert service.manager.cancel(job.id).state is JobState.RUNNING  # twice is once
+        for _ in range(4):
+            assert service.job(job).state is JobState.RUNNING
+            held.let_go()
+        job = service.until(job, JobState.CANCELLED)
+    assert (job.chunks_done, job.error) == (1, None)
+    assert held.held() == 0
 
 
 def test_a_job_deleted_while_its_store_is_made_leaves_none(
@@ -232,17 +250,6 @@ def test_without_workers_a_cancelled_job_ends_at_once(tmp_path: Path):
 
 
 # Limits
-
-
-@pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}, {"max_core_seconds": 0.01}])
-def test_a_sweep_that_is_too_large_is_refused_before_anything_is_made(
-    tmp_path: Path, inline: Inline, limit: dict[str, int]
-):
-    with running(tmp_path, inline, **limit) as service:
-        with pytest.raises(SpecTooLarge, match="at most"):
-            service.submit(sweep())
-        with service.ledger.reading() as ledger:
-            assert ledger.search() == []
 
 
 def test_waiting_takes_no_processor_time(tmp_path: Path):
