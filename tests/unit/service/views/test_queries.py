@@ -142,6 +142,9 @@ def test_flights_that_do_not_count_are_missing_in_their_place(sweep: Stored):
         np.testing.assert_array_equal(line[name], whole[name].where(shown))
     np.testing.assert_array_equal(line.flights, whole.flights)
     assert 0 < shown.sum() < np.isfinite(whole.flight_time).sum()
+    plane = modes(sweep, min_flight=3, xi=0.05).sel(omega=1.0)
+    np.testing.assert_array_equal(plane.bounces, line.bounces)
+    assert (line.bounces != whole.bounces).any()
 
 
 @pytest.fixture
