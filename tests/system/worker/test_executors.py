@@ -94,18 +94,6 @@ def test_closing_does_not_wait_for_a_worker_that_is_starting(tmp_path, dropped):
     assert time.monotonic() - began < DEADLINE  # and not an hour
 
 
-def test_workers_that_dask_has_dropped_are_replaced():
-    """It drops one that is not back 15 s after it died: here 100 ms."""
-    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
-        client, nannies = executor._connection.client, executor._target.cluster.workers
-        before = set(nannies.values())
-        with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
-            [pid, _] = client.run(os.getpid).values()
-            os.kill(pid, signal.SIGKILL)
-            wait_for(lambda: len(before & set(nannies.values())) == 1, seconds=PATIENCE)
-        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
-
-
 def test_a_worker_computes_on_when_its_kernels_take_most_of_its_memory():
     def fill(dask_worker):
         used = dask_worker.monitor.get_process_memory()

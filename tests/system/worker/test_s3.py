@@ -16,7 +16,6 @@ from scripted import DEADLINE, Held, wait_for
 from served import RAMP, finished, get, service
 from stores import files, store_in
 
-from worker import store
 from worker.executors.dask import Dask
 from worker.executors.inline import Inline
 from worker.store import backend
@@ -117,23 +116,6 @@ def test_a_chunk_is_stored_with_few_requests(bucket: str, monkeypatch: pytest.Mo
         for chunk in plan[1:4]:
             run_task(spec, chunk, url)
     assert counting.calls[first:] == ["put"] * 6 * 3
-
-
-def test_cancel_reaches_workers_through_the_bucket(bucket: str, tmp_path: Path):
-    held = Held()
-    with service(tmp_path, held, stores=f"{BUCKET_URL}/cancel") as client:
-        here = client.post("/v1/jobs", json=RAMP).headers["Location"]
-        url = client.app.state.service.settings.store_of(f"1-{here.rsplit('/', 1)[1]}.zarr")  # type: ignore[attr-defined]
-        wait_for(lambda: held.held() > 0)
-        assert not store.is_cancelled(url)
-        client.post(f"{here}/cancel")
-        wait_for(lambda: store.is_cancelled(url))
-        while held.held():
-            held.let_go()
-        wait_for(lambda: get(client, here)["state"] == "cancelled")
-        assert client.post(f"{here}/resume").status_code == 202
-        wait_for(lambda: held.held() > 0)
-        assert not store.is_cancelled(url)
 
 
 def test_a_bucket_that_fails_in_mid_chunk_costs_no_try(
