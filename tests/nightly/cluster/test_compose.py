@@ -224,8 +224,7 @@ def stack_up(folder: Path) -> Iterator[Stack]:
 
 pytestmark = [pytest.mark.timeout(5400), pytest.mark.skipif(bool(missing()), reason=missing())]
 
-#: What docker-compose.yml starts, and where each container is killed: at this share of the job's chunks.
-SERVICES = Counter(scheduler=1, worker=2, service=1)
+#: Where each container is killed: at this share of the job's chunks.
 KILLED_AT = {"worker": 0.1, "scheduler": 0.3, "service": 0.6}
 PATIENCE = 600.0
 
@@ -238,14 +237,6 @@ def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     with stack_up(tmp_path_factory.mktemp("podman")) as stack:
         wait_for(lambda: stack.workers() == 2, stack.log, PATIENCE)
         yield stack
-
-
-def test_all_containers_are_healthy(stack: Stack):
-    containers = stack.containers()
-    assert Counter(re.findall(r"[-_]([a-z]+)[-_]\d+$", name)[0] for name in containers) == SERVICES
-    for name in containers:
-        healthy = stack.engine.attempt("podman", "healthcheck", "run", name)
-        assert healthy.returncode == 0, (name, healthy.stdout)
 
 
 def same_bytes(one: xarray.Dataset, other: xarray.Dataset) -> bool:
