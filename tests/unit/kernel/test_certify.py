@@ -118,8 +118,8 @@ def test_the_error_of_short_flights_is_bounded_where_they_hardly_leave_the_plate
     assert np.all(error <= line.flight_error)
 
 
-def test_the_error_includes_the_rounding_of_a_spring_that_turns_often_in_a_flight():
-    """By more than 500 rad; the true flight by Newton's method with 40 digits (mpmath)."""
+def test_the_error_is_bounded_where_changes_of_state_and_phase_cancel():
+    """The true flight by Newton's method with 40 digits (mpmath)."""
     cell = [np.array([x]) for x in (7.334, 0.03605, 0.4974)]
     plate = SoftPlate(np.array([0.0136]), np.array([0.0007841]), True)
     line = run_line(*cell, plate=plate, **{"carry": False, **CERTIFY})
