@@ -33,10 +33,11 @@ def after(
     return times.left(to_come, now, at_once, elapsed or {})
 
 
-REST, LONG, ONE_WAY = (
+REST, LONG, ONE_WAY, LINES = (
     Plan((1, 1, 60), (1, 1, 10), ("rest",)),
     Plan((1, 1, 120), (1, 1, 10), ("rest",)),
     Plan((1, 1, 60), (1, 1, 10), ("up",), 2),
+    Plan((1, 2, 30), (1, 1, 10), ("up",), 2),
 )
 UP = [1.0, 2.0, 4.0, 8.0]
 
@@ -46,6 +47,7 @@ UP = [1.0, 2.0, 4.0, 8.0]
     (LINE, [3.0], 3.0, {}, None), (LINE, [3.0, 0.01], 6.0, {}, None), (LINE, [3.0, 3.0], 6.0, {}, 18.0),
     # chunks computed side by side do not count as computed since the first was reported
     (REST, [7.0, 7.0], 7.1, {"at_once": 2}, 4 * 7.0 / 2), (REST, [7.0] * 4, 14.1, {"at_once": 3}, 7.1),
+    (LINES, [7.0] * 4, 14.1, {"at_once": 2}, 2 * 7.0 / 2),
     # a ramp takes as long on its way back as there, or as its newest chunks
     (LINE, UP, 15.0, {}, 15.0), (LINE, [*UP, 8.0, 4.0], 27.0, {}, 3.0),
     (LINE, UP[:3], 7.0, {}, 2 * 7 / 3 + 7.0),
