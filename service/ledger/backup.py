@@ -11,7 +11,7 @@ from urllib.parse import quote
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger.ledger import check, locked, make_tables
 from service.ledger.paths import lock_of, replaced_path, shm_of, wal_of
-from service.ledger.tables import UPGRADES, VERSION
+from service.ledger.tables import RELEASED, VERSION
 from service.ledger.transactions import ReadTransaction
 from worker.files import make_folder, replacing, sync
 
@@ -91,7 +91,7 @@ def inspect(file: Path) -> Contents:
 def is_earlier(file: Path) -> bool:
     """Whether a ledger has the tables of an earlier release. Raises LedgerUnusable."""
     with _readable(file), _opened(file) as connection:
-        return _version(connection) in UPGRADES
+        return _version(connection) == RELEASED
 
 
 def _version(connection: sqlite3.Connection) -> int:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from service.errors import DataFolderBusy, LedgerUnavailable, LedgerUnusable
 from service.ledger.model import JobRecord
 from service.ledger.paths import lock_of, network_file_system, replaced_copies, size_of, wal_of
-from service.ledger.tables import TABLES, UPGRADES, VERSION, faults
+from service.ledger.tables import RELEASED, TABLES, UPGRADE, VERSION, faults
 from service.ledger.transactions import ReadTransaction, WriteTransaction
 from worker.files import make_folder
 
@@ -251,7 +251,7 @@ def check(connection: sqlite3.Connection, path: Path, seconds: float = CHECK_SEC
     connection.set_progress_handler(lambda: int(time.monotonic() > deadline), 100_000)
     try:
         version = connection.execute("PRAGMA user_version").fetchone()[0]
-        if version not in (0, *UPGRADES, VERSION):
+        if version not in (0, RELEASED, VERSION):
             rule = f"this service needs version {VERSION}: use the release that wrote it, or another folder"
             raise LedgerUnusable(f"the ledger is of version {version}, {rule}")
         for query in faults(version):
@@ -269,7 +269,7 @@ def make_tables(connection: sqlite3.Connection) -> None:
     """Create the tables of a new ledger, or bring those of an earlier version to this one; all or nothing."""
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION:
-        change = UPGRADES[version] if version else TABLES
+        change = UPGRADE if version else TABLES
         connection.executescript(f"BEGIN IMMEDIATE; {change} PRAGMA user_version = {VERSION}; COMMIT;")
 
 

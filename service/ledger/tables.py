@@ -4,7 +4,7 @@ from typing import Final
 
 from service.ledger.model import JobState
 
-#: SQLite's `user_version` of a ledger with these tables. 0.2.0 has version 14.
+#: SQLite's `user_version` of a ledger with these tables.
 VERSION: Final = 18
 
 _ANSWERS: Final = """
@@ -98,8 +98,11 @@ TABLES: Final = f"""
     INSERT INTO marker VALUES (lower(hex(randomblob(16))), 0);
 """
 
-#: Stores were named by the job's id alone, so that a job waited until a deleted one's store was renamed.
-_STORES: Final = """
+#: The version of the tables of 0.2.0.
+RELEASED: Final = 14
+#: The statements that turn them into these. Stores were named by the job's id alone, so that a job waited
+#: until a deleted one's store was renamed.
+UPGRADE: Final = f"""
     ALTER TABLE jobs ADD COLUMN store TEXT NOT NULL DEFAULT '';
     UPDATE jobs SET store = CASE
         WHEN id IN (SELECT job FROM deletions WHERE step = 0) THEN seq || '-' || id ELSE id END || '.zarr';
@@ -112,23 +115,13 @@ _STORES: Final = """
     INSERT INTO deletions (job, store)
         SELECT seq, job || '.zarr' || iif(step, '.deleted-' || seq, '') FROM earlier WHERE step < 2;
     DROP TABLE earlier;
-"""
-
-_TIME_LEFT: Final = """
+    ALTER TABLE jobs ADD COLUMN progressed REAL;
+    ALTER TABLE jobs ADD COLUMN seconds_left REAL;
     ALTER TABLE jobs DROP COLUMN run_started;
     ALTER TABLE jobs DROP COLUMN run_cells;
-    ALTER TABLE jobs ADD COLUMN seconds_left REAL;
+    ALTER TABLE jobs DROP COLUMN cells_timed;
+    {_ANSWERS}
 """
-
-#: Jobs of the same contact told the speed of the next ones.
-_SPEED: Final = "ALTER TABLE jobs DROP COLUMN cells_timed;"
-
-#: The statements that turn the tables of an earlier version into these.
-UPGRADES: Final = {
-    14: f"{_STORES} ALTER TABLE jobs ADD COLUMN progressed REAL; {_ANSWERS} {_TIME_LEFT} {_SPEED}",
-    16: f"{_TIME_LEFT} {_SPEED}",
-    17: _SPEED,
-}
 
 #: The rule of each column of a job, which SQLite does not enforce: a list of jobs reads all columns. Whether
 #: the specification belongs to the id takes longer to check, when the job is prepared.
