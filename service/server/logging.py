@@ -2,9 +2,7 @@
 
 import json
 import logging
-import math
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -15,9 +13,6 @@ _OWN: Final = ("service", "worker")
 
 #: Libraries that configure their own handlers; their warnings go through the root logger instead.
 _LIBRARIES: Final = ("distributed", "tornado", "bokeh", "uvicorn", "asyncio")
-
-#: Number of different library messages remembered.
-_MESSAGES: Final = 1_000
 
 
 class JsonLines(logging.Formatter):
@@ -50,33 +45,6 @@ class ReadableLines(logging.Formatter):
         return f"{line}{f' ({facts})' if facts else ''}{trace}"
 
 
-class OncePerSecond(logging.Filter):
-    """Passes each message of a library at most once a second, with the number of suppressed ones.
-
-    Anyone who can reach a port can trigger messages, by connections or by bytes that are not TLS.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._seen: dict[tuple[str, str], tuple[float, int]] = {}  # time last passed, messages left out since
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Called by logging."""
-        if record.name.partition(".")[0] not in _LIBRARIES:
-            return True
-        message = (record.name, str(record.msg).partition("\n")[0])  # before its arguments are filled in
-        now, (last, left_out) = time.monotonic(), self._seen.get(message, (-math.inf, 0))
-        if now - last < 1.0:
-            self._seen[message] = last, left_out + 1
-            return False
-        if len(self._seen) > _MESSAGES:
-            self._seen.clear()
-        self._seen[message] = now, 0
-        if left_out:
-            record.fields = {"left_out": left_out}
-        return True
-
-
 def _library_loggers() -> list[logging.Logger]:
     names = list(logging.root.manager.loggerDict)
     return [logging.getLogger(name) for name in names if name.partition(".")[0] in _LIBRARIES]
@@ -93,7 +61,6 @@ def log_to_stderr(level: str) -> Iterator[None]:
     """Write the log to standard error during the block; `level` applies to the project's loggers."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(ReadableLines() if sys.stderr.isatty() else JsonLines())
-    handler.addFilter(OncePerSecond())
     root = logging.getLogger()
     root.addHandler(handler)
     for name in _OWN:

@@ -1,7 +1,6 @@
 """The web server at the limits of the process, and the log of what others cause."""
 
 import io
-import json
 import logging
 import re
 import resource
@@ -22,7 +21,7 @@ from served import computing_at, listening, service_at, settings_of
 
 from service.api.app import create_app
 from service.client import Client
-from service.server.logging import JsonLines, OncePerSecond, log_to_stderr
+from service.server.logging import log_to_stderr
 from service.server.web_server import MOST_FILES, OTHER_FILES, connections_allowed, limited, raise_file_limit
 
 MOST = 4
@@ -185,31 +184,3 @@ def test_a_terminal_has_lines_to_read(monkeypatch: pytest.MonkeyPatch):
     with log_to_stderr("info"):
         logging.getLogger("service").warning("refused", extra={"fields": {"id": "1", "status": 404}})
     assert re.fullmatch(r"\d\d:\d\d:\d\d warning: refused \(status 404\)\n", stream.getvalue())
-
-
-def test_a_message_of_a_library_is_logged_once_a_second(monkeypatch: pytest.MonkeyPatch):
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    stream = io.StringIO()
-    handler = logging.StreamHandler(stream)
-    handler.setFormatter(JsonLines())
-    handler.addFilter(OncePerSecond())
-
-    def log(name: str, message: str, *given: object) -> None:
-        handler.handle(logging.LogRecord(name, logging.ERROR, "", 0, message, given, None))
-
-    for port in range(1000):
-        log("distributed.comm.tcp", "handshake failed with %r", port)
-        log("asyncio", f"socket.accept() out of system resource\nsocket: {port}")
-    log("service", "always")
-    log("service", "always")
-    now += 1.0
-    log("asyncio", "socket.accept() out of system resource\nsocket: 1000")
-    lines = [json.loads(line) for line in stream.getvalue().splitlines()]
-    assert [(line["logger"], line.get("left_out")) for line in lines] == [
-        ("distributed.comm.tcp", None),
-        ("asyncio", None),
-        ("service", None),
-        ("service", None),
-        ("asyncio", 999),
-    ]
