@@ -92,7 +92,6 @@ def run(
     workers: int | None = None,
     progress: bool | ProgressCallback = True,
     budget: float | None = None,
-    began: float | None = None,
 ) -> xarray.Dataset:
     """Compute a study and return its results.
 
@@ -113,8 +112,6 @@ def run(
     budget
         Seconds in which to compute the finest level of a sweep that fits, see `service.budget`. The attribute
         `audit` of the Dataset says how many of its cells a longer computation would change.
-    began
-        When that time began, by `time.monotonic`; by default now.
 
     Returns
     -------
@@ -132,7 +129,7 @@ def run(
     DataFolderBusy
         Another process computes the same store.
     """
-    computing: dict[str, Any] = {"workers": workers, "progress": progress, "budget": budget, "began": began}
+    computing: dict[str, Any] = {"workers": workers, "progress": progress, "budget": budget}
     if store is None:
         with temporary_folder("bounce-") as folder, computed(spec, folder, **computing) as done:
             return _opened(done.job.store_url).load().assign_attrs(done.attributes)
@@ -141,7 +138,7 @@ def run(
 
 
 def run_to_store(spec: Specification, store: str | os.PathLike[str], **computing: Any) -> dict[str, str]:
-    """Compute a study into a folder as `run` does; attributes of the Dataset beside those of the store.
+    """Compute a study into a folder as `computed` does; attributes of the Dataset beside the store's.
 
     It does not open the Dataset, which takes a second of imports.
     """
@@ -168,17 +165,13 @@ def run_to_file(
     output: str | os.PathLike[str],
     format: str,
     line: Mapping[str, Any] | None = None,
-    *,
-    workers: int | None = None,
-    progress: bool | ProgressCallback = True,
-    budget: float | None = None,
-    began: float | None = None,
+    **computing: Any,
 ) -> JobStatus:
     """Compute a study as `run` does and write it to a file, which appears once complete.
 
     Parameters
     ----------
-    spec, workers, progress, budget, began
+    spec
         As in `run`.
     output
         Path of the file.
@@ -186,6 +179,8 @@ def run_to_file(
         One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
     line
         The diagram's line: the arguments of `Job.diagram`.
+    **computing
+        As in `computed`.
 
     Returns
     -------
@@ -212,9 +207,7 @@ def run_to_file(
     else:
         query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
     with (
-        computed(
-            parsed, settings.data, workers=workers, progress=progress, budget=budget, began=began
-        ) as done,
+        computed(parsed, settings.data, **computing) as done,
         complete_file(target) as file,
     ):
         job, study = done.job, replace(stored(done.record, done.job), audit=done.audit)
@@ -282,7 +275,10 @@ def computed(
     budget: float | None = None,
     began: float | None = None,
 ) -> Iterator[Computed]:
-    """Compute a study in the data folder `folder`, which is kept; yields its done job. Raises as `run`."""
+    """Compute a study in the data folder `folder`, which is kept; yields its done job. Raises as `run`.
+
+    began: when the budget began, by `time.monotonic`; by default now.
+    """
     began = time.monotonic() if began is None else began
     use_cache()
     parsed = from_json(body(spec))
