@@ -115,14 +115,9 @@ def tradeoff(output: str | None) -> None:
 
     format = options.output_format(output, tradeoff.VIEW.formats) if output else None
     use_cache()
-    counts = (0, len(tradeoff.SETTINGS))
-
-    def show(measured: int, total: int) -> None:
-        nonlocal counts
-        counts = (measured, total)
-
-    with display_elapsed(lambda: "measured {} of {} contacts".format(*counts)):
-        results = tradeoff.measure(tradeoff.SETTINGS, show)
+    measured = [0]
+    with display_elapsed(lambda: f"measured {measured[-1]} of {len(tradeoff.SETTINGS)} contacts"):
+        results = tradeoff.measure(tradeoff.SETTINGS, lambda number, _: measured.append(number))
     click.echo(table(results, ["cost"]), err=output == "-")
     if output and format:
         options.write_file(output, encoded(tradeoff.VIEW, None, results, format))
