@@ -97,11 +97,12 @@ class Ledger(AbstractContextManager["Ledger"]):
         Raises LedgerUnavailable, also as `check` does.
         """
         with self._exclusive():
-            self._begin()
             try:
+                self._writer.execute("BEGIN IMMEDIATE")
+                self._refused = None
                 yield WriteTransaction(self._writer)
                 self._writer.execute("COMMIT")
-            except sqlite3.OperationalError as error:
+            except sqlite3.OperationalError as error:  # such as another program's lock
                 self._refused = f"the ledger cannot be written: {error}"
                 raise
 
@@ -132,15 +133,6 @@ class Ledger(AbstractContextManager["Ledger"]):
         except LedgerUnavailable as error:
             return str(error)
         return self._stores_fault or self._refused
-
-    def _begin(self) -> None:
-        """Begin to write. Keeps the reason of a refusal, such as another program's lock."""
-        try:
-            self._writer.execute("BEGIN IMMEDIATE")
-        except sqlite3.Error as error:
-            self._refused = f"the ledger cannot be written: {error}"
-            raise
-        self._refused = None
 
     @contextmanager
     def _exclusive(self) -> Iterator[None]:
