@@ -5,7 +5,6 @@ block.
 """
 
 import errno
-import gc
 import importlib
 import logging
 import os
@@ -105,7 +104,6 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         server.serve_until_stopped()
         with _startup_errors():
             server.url.result()
-    gc.freeze()  # collecting the objects of compiled kernels at exit would take seconds
 
 
 class _Stopped(BaseException):
