@@ -214,19 +214,12 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
 
 
 def _in_notebook() -> Callable[[JobStatus], None]:
-    """A function that shows a job as HTML below the cell of a notebook, then updates it in place."""
+    """A function that shows a job as HTML below the cell of a notebook, in place."""
     from IPython.display import HTML, DisplayHandle
 
     handle = DisplayHandle()
-    shown = False
-
-    def show(job: JobStatus) -> None:
-        nonlocal shown
-        content = HTML(job_html(job))
-        (handle.update if shown else handle.display)(content)
-        shown = True
-
-    return show
+    handle.display(HTML(""))
+    return lambda job: handle.update(HTML(job_html(job)))
 
 
 def _on_terminal() -> bool:

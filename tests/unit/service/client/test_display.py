@@ -64,8 +64,7 @@ def test_a_notebook_shows_a_job_in_one_place(monkeypatch: pytest.MonkeyPatch):
     with display_job(True) as show:
         for job in jobs:
             show(job)
-    names = ("display", "update", "update")
-    assert shown == [(name, HTML(job_html(job)).data) for name, job in zip(names, jobs, strict=True)]
+    assert shown == [("display", ""), *(("update", HTML(job_html(job)).data) for job in jobs)]
 
 
 def test_a_time_left_that_doubles_has_a_reason(
