@@ -122,8 +122,6 @@ class ExportQuery(Query):
 class ProgressView(BaseModel):
     """Progress of a job."""
 
-    model_config = ConfigDict(from_attributes=True)
-
     chunks_done: int
     chunks_total: int
     cells_done: int
