@@ -407,7 +407,7 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
     lines: list[Any] = ax.get_legend_handles_labels()[0]
     lines = lines if len(lines) > 1 else []
     dot = max((line.get_markersize() for line in lines), default=1.0)
-    legend_beside(ax, [*lines, *_entries(shown, CLASSES)], 1.05, markerscale=LEGEND_DOT / dot)
+    legend_beside(ax, [*lines, *entries(shown, CLASSES)], 1.05, markerscale=LEGEND_DOT / dot)
 
 
 def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
@@ -420,7 +420,7 @@ def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
     axes.set_title(caption, loc="right", fontsize=8.5, color="0.35", pad=pad)
 
 
-def _entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
+def entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
     """Legend entries of the classes that cells have; cells: indices into `classes`."""
     from matplotlib.patches import Patch
 
@@ -452,7 +452,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     for name, axis in (("x", "gamma"), ("y", "omega")):
         if _is_geometric(modes[axis].values):
             _make_logarithmic(ax, name)
-    handles = _entries(cells, classes)
+    handles = entries(cells, classes)
     if modes.attrs.get("model") != "ball":
         handles += _draw_threshold_curve(ax, modes)
     if "hysteresis" in modes and (differ := modes.hysteresis.values > 0).any():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.pictures import ATTRACTORS, UNDECIDED, legend_beside, values_at
+from service.pictures import ATTRACTORS, UNDECIDED, draw_cells, edges, legend_beside, values_at
 from service.views.selection import Stored, attractor_label, nearest_values, read_stored
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
@@ -108,26 +108,15 @@ NAMED: Final = 16
 
 def draw(result: xarray.Dataset, figure: "Figure") -> None:
     """Draw the plane of starts, each in the colour of its attractor."""
-    from matplotlib.colors import ListedColormap
-
     axes = figure.subplots()
     colours = [ATTRACTORS[i % len(ATTRACTORS)] for i in range(result.sizes["attractor"])]
-    axes.imshow(
-        result.attractor_of_start, origin="lower", aspect="auto", interpolation="nearest",
-        extent=(*_ends(result.column.values), *_ends(result.row.values)),
-        cmap=ListedColormap([UNDECIDED, *colours]), vmin=-0.5, vmax=len(colours) + 0.5,
-    )  # fmt: skip
+    sides = edges(result.column.values), edges(result.row.values)
+    draw_cells(axes, *sides, result.attractor_of_start.values, [UNDECIDED, *colours])
     for axis, side in ((axes.xaxis, result.column), (axes.yaxis, result.row)):
         units = "" if side.units == "1" else f" ({side.units})"
         axis.set_label_text(f"{side.long_name}{units}")
     axes.set_title(f"{values_at(result, reversed(AXES))}  ({result.attrs['model']})", fontsize=11)
     _legend(axes, result, colours)
-
-
-def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    """The ends of the picture along an axis: every start is the middle of its pixel."""
-    half = 0.5 * float(values[1] - values[0]) if len(values) > 1 else 0.5
-    return float(values[0]) - half, float(values[-1]) + half
 
 
 def _legend(axes: "Axes", result: xarray.Dataset, colours: list[str]) -> None:

@@ -260,9 +260,13 @@ def _events(
                 yield kind, number, omega[i], gamma[j], gamma[j + 1], before, after, leads_to
 
 
-#: Colours of cells by their number of attractors: not computed, none, 1, 2, 3, 4 and more.
-COUNTS: Final[tuple[str, ...]] = tuple(pictures.PALETTE["attractor_counts"])
-_OF_COUNTS: Final = ("not computed", "undecided", "one attractor", "two", "three", "four or more")
+#: Colours of cells by their number of attractors.
+COUNTS: Final[dict[str, str]] = dict(
+    zip(
+        ("not computed", "undecided", "one attractor", "two", "three", "four or more"),
+        pictures.PALETTE["attractor_counts"], strict=True,
+    )
+)  # fmt: skip
 
 #: Colours by id: for none, for the attractors with most cells, and for all others.
 _BY_ID: Final = (pictures.UNDECIDED, *pictures.ATTRACTORS, pictures.OTHER_ATTRACTORS)
@@ -273,15 +277,11 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     if "flight_time" in result:
         _draw_line(result, figure.subplots())
         return
-    from matplotlib.patches import Patch
-
     left, right = figure.subplots(1, 2, sharey=True)
     number = np.clip(result["count"].values + 1, 0, len(COUNTS) - 1)
     sides = pictures.edges(result.gamma.values), pictures.edges(result.omega.values)  # the grid may be uneven
-    pictures.draw_cells(left, *sides, number, COUNTS)
-    entries = [Patch(facecolor=COUNTS[n], edgecolor="black", linewidth=0.5, label=_OF_COUNTS[n])
-               for n in np.unique(number).tolist()]  # fmt: skip
-    pictures.legend_beside(left, entries)
+    pictures.draw_cells(left, *sides, number, COUNTS.values())
+    pictures.legend_beside(left, pictures.entries(number, COUNTS))
     first = result.id.values[:, :, 0]
     pictures.draw_cells(right, *sides, np.minimum(first, len(_BY_ID) - 1), _BY_ID)
     _name_attractors(right, result.isel(attractor=np.isin(result.attractor, first)))

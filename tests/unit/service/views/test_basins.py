@@ -71,16 +71,13 @@ def legend(shown: xarray.Dataset) -> list[tuple[str, str]]:
 
 
 def test_every_start_is_a_pixel_in_the_colour_of_its_attractor(found: xarray.Dataset):
-    (picture,) = drawn(found).images
-    ids = np.asarray(picture.get_array())
-    assert picture.origin == "lower"
-    assert np.array_equal(ids, found.attractor_of_start)
+    (picture,) = drawn(found).collections
+    assert np.array_equal(picture.get_array(), found.attractor_of_start)
     colours = [to_hex(colour) for colour in picture.cmap(picture.norm(np.arange(3)))]
     assert colours == [UNDECIDED, *ATTRACTORS[:2]]
-    left, right, bottom, top = picture.get_extent()
-    for values, low, high in ((found.column, left, right), (found.row, bottom, top)):
-        width = (high - low) / values.size
-        np.testing.assert_allclose(low + width * (np.arange(values.size) + 0.5), values)
+    corners = picture.get_coordinates()
+    for values, sides in ((found.column, corners[0, :, 0]), (found.row, corners[:, 0, 1])):
+        np.testing.assert_allclose(0.5 * (sides[1:] + sides[:-1]), values)
 
 
 def test_the_legend_names_attractors_and_what_is_undecided(found: xarray.Dataset):
