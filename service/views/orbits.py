@@ -118,10 +118,8 @@ def compute(
         return _stored_branches(study, query)
     directions, fixed = _line(study.spec, query)
     data = with_flights(cycles.branches)
-    varies: dict[str, Any] = {}
     if query.along != "gamma":
         data |= padded((query.along,), cycles.branches)
-        varies = {"along": query.along}
     data |= event_columns(join_events(cycles.events))
     on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
     data |= columns("event", {"branch": on})
@@ -130,8 +128,8 @@ def compute(
     coords = of_branches(cycles.branches)
     coords |= {axis: coordinate(axis, point.value) for axis, point in fixed.items() if axis != "gamma"}
     coords |= {"direction": coordinate("direction", directions[0])} if len(directions) == 1 else {}
-    model = name_of(contact_of(study.spec))
-    return closed_form(data, coords, study.complete, model, **varies, gamma_max=query.gamma_max or GAMMA_MAX)
+    about = {"model": name_of(contact_of(study.spec)), "along": query.along}
+    return closed_form(data, coords, study.complete, **about, gamma_max=query.gamma_max or GAMMA_MAX)
 
 
 def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:

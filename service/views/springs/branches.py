@@ -135,11 +135,12 @@ def of_branches(records: Sequence[Branch]) -> dict[str, xarray.Variable]:
 
 def closed_form(
     data: Mapping[str, xarray.Variable], coords: Mapping[str, xarray.Variable], complete: bool = True,
-    model: str = IDEAL, **attrs: Any,
+    model: str = IDEAL, along: str = "gamma", **attrs: Any,
 ) -> xarray.Dataset:  # fmt: skip
     """A result on branches or curves, with the attributes of all of them."""
     part = xarray.Variable(("part",), np.array(["real", "imaginary"]))
-    return dataset(data, {**coords, "part": part}, {"model": model, **attrs, "complete": complete})
+    varies = {} if along == "gamma" else {"along": along}
+    return dataset(data, {**coords, "part": part}, {"model": model, **varies, **attrs, "complete": complete})
 
 
 OF_POINT: Final = (

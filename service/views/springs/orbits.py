@@ -162,12 +162,10 @@ def compute(
     coords = of_branches(pieces)
     spring = {name for name in ("omega", "xi") if name != query.along}
     coords |= {name: coordinate(name, getattr(query, name)) for name in sorted(spring)}
-    varies: dict[str, Any] = {}
     if query.along != "gamma":
         data |= padded((query.along,), pieces)
-        varies = {"along": query.along}
     model = IDEAL if plate is None else name_of(plate)
-    return closed_form(data, coords, model=model, **varies, gamma_max=query.gamma_max)
+    return closed_form(data, coords, model=model, along=query.along, gamma_max=query.gamma_max)
 
 
 #: The last branches of a process are kept.
