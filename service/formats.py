@@ -6,9 +6,6 @@ Standard library only: the client and the command line import this without the s
 from collections.abc import Mapping
 from typing import Final, Literal, get_args
 
-TableFormat = Literal["json", "csv"]
-PictureFormat = Literal["png", "svg", "pdf"]
-
 #: A result as a Dataset, and its table.
 DatasetFormat = Literal["json", "bin", "nc", "csv", "parquet"]
 #: A whole study in one file; html: a sweep as a page that needs no service.
@@ -23,8 +20,8 @@ Predict = Literal["none", "some", "all", "cells", "search"]
 #: Limit on the bytes of a shared file that is imported.
 MOST_SHARED: Final = 32 * 2**20
 
-TABLES: Final[tuple[str, ...]] = get_args(TableFormat)
-PICTURES: Final[tuple[str, ...]] = get_args(PictureFormat)
+TABLES: Final = ("json", "csv")
+PICTURES: Final = ("png", "svg", "pdf")
 EXPORTS: Final[tuple[str, ...]] = get_args(ExportFormat)
 
 MEDIA_TYPES: Final[Mapping[str, str]] = {

@@ -12,9 +12,9 @@ import click
 
 from service.cli.options import (
     BEGAN,
-    DAY,
-    DURATION,
     Number,
+    day,
+    duration,
     format_option,
     json_option,
     output_format,
@@ -33,9 +33,12 @@ if TYPE_CHECKING:
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
 ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
-_BUDGET: Final = "Compute the finest level that fits into this time: 90s, 5m, 1h."
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
+_budget_option: Final = click.option(
+    "--budget", type=duration, metavar="TIME",
+    help="Compute the finest level that fits into this time: 90s, 5m, 1h.",
+)  # fmt: skip
 _effort_option: Final = click.option(
     "--effort", type=click.Choice(["draft", "standard", "thorough"]),
     help="Windows of the cells, in place of settle, observe and until.",
@@ -48,7 +51,7 @@ _effort_option: Final = click.option(
 @click.option("--estimate", is_flag=True, help="Print the estimated cost without submitting.")
 @click.option("--key", help="Idempotency key: repeating the request with it changes nothing.")
 @_effort_option
-@click.option("--budget", type=DURATION, help=_BUDGET)
+@_budget_option
 @with_client
 def submit(
     client: "Client",
@@ -88,7 +91,7 @@ def submit(
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
 @click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
 @_effort_option
-@click.option("--budget", type=DURATION, help=_BUDGET)
+@_budget_option
 def run(
     spec: str,
     output: str,
@@ -130,7 +133,8 @@ def run(
 
 @click.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
-@click.option("--budget", type=DURATION, help="Time that the recommended setting takes at most: 90s, 5m, 1h.")
+@click.option("--budget", type=duration, metavar="TIME",
+              help="Time that the recommended setting takes at most: 90s, 5m, 1h.")  # fmt: skip
 @click.option(
     "--tolerance", type=Number(0, 1, min_open=True, max_open=True),
     help="Share of the plane that it shows wrong at most.  [default: 0.05 without a budget]",
@@ -288,10 +292,10 @@ def delete(job: "Job") -> None:
 @click.option("--model", help="List only jobs of this kind of contact.")
 @click.option("--pinned", is_flag=True, help="List only pinned jobs.")
 @click.option(
-    "--from", "created_from", type=DAY, metavar="DATE", help="List only jobs created on DATE (UTC) or later."
+    "--from", "created_from", type=day, metavar="DATE", help="List only jobs created on DATE (UTC) or later."
 )
 @click.option(
-    "--before", "created_before", type=DAY, metavar="DATE", help="List only jobs created before DATE (UTC)."
+    "--before", "created_before", type=day, metavar="DATE", help="List only jobs created before DATE (UTC)."
 )
 @click.option("--order", type=click.Choice(ORDERS), default=ORDERS[0], show_default=True)
 @click.option("--limit", type=click.IntRange(1), help="List at most this many jobs.")

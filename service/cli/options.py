@@ -32,20 +32,16 @@ COMPLETION_SECONDS: Final = 2.0
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
-class Duration(click.ParamType[float]):
+#: Seconds of the units of a time.
+_UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def duration(text: str) -> float:
     """A time in seconds: 90, 90s, 5m, 1.5h."""
-
-    name = "time"
-    _UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smh]?)", str(value).strip())
-        if match is None or float(match[1]) == 0.0:
-            self.fail(f"must be a time such as 90s, 5m or 1h, not {value!r}", param, ctx)
-        return float(match[1]) * self._UNITS[match[2]]
-
-
-DURATION: Final = Duration()
+    match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smh]?)", text.strip())
+    if match is None or float(match[1]) == 0.0:
+        raise click.BadParameter(f"must be a time such as 90s, 5m or 1h, not {text!r}")
+    return float(match[1]) * _UNITS[match[2]]
 
 
 def plural(number: int, thing: str) -> str:
@@ -70,19 +66,12 @@ NUMBER: Final = click.types.FloatParamType()
 NUMBER.name = "number"
 
 
-class Day(click.ParamType[str]):
+def day(text: str) -> str:
     """A day, or a time of it, as 2026-11-25."""
-
-    name = "date"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        try:
-            return datetime.fromisoformat(str(value)).isoformat()
-        except ValueError:
-            self.fail(f"must be a day such as 2026-11-25, not {value!r}", param, ctx)
-
-
-DAY: Final = Day()
+    try:
+        return datetime.fromisoformat(text).isoformat()
+    except ValueError:
+        raise click.BadParameter(f"must be a day such as 2026-11-25, not {text!r}") from None
 
 
 class CommandGroup(click.Group):
