@@ -1,10 +1,13 @@
-"""The choices of queries: file formats, named by their file endings, and predictions.
+"""The choices of queries: file formats, named by their file endings, and predictions; and what reads results.
 
 Standard library only: the client and the command line import this without the service.
 """
 
-from collections.abc import Mapping
-from typing import Final, Literal, get_args
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, TypeAlias, get_args
+
+if TYPE_CHECKING:
+    import xarray
 
 #: A result as a Dataset, and its table.
 DatasetFormat = Literal["json", "bin", "nc", "csv", "parquet"]
@@ -35,3 +38,17 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     "parquet": "application/vnd.apache.parquet",
     "html": "text/html",
 }
+
+#: The formats of each result, and the variables whose numbers are the rows of printed tables.
+Results: TypeAlias = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
+Progress: TypeAlias = bool | Callable[[int, int], None]
+
+
+class Methods:
+    """Reads results by name."""
+
+    RESULTS: ClassVar[Results]
+
+    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
+        """The result of this name."""
+        raise NotImplementedError

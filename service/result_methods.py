@@ -1,30 +1,17 @@
 """A method for each result. Made by service.views.client_methods: do not edit."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from service.formats import Methods, Progress, Results
 
 if TYPE_CHECKING:
     import xarray
-
-Names = tuple[str, ...]
-Progress = bool | Callable[[int, int], None]
-
-
-class Methods:
-    """Reads results by name."""
-
-    #: The formats of each result, and the variables whose numbers are the rows of printed tables.
-    RESULTS: ClassVar[dict[str, tuple[Names, Names]]]
-
-    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
-        """The result of this name."""
-        raise NotImplementedError
 
 
 class ResultMethods(Methods):
     """A method for each result of a job."""
 
-    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
+    RESULTS: ClassVar[Results] = {
         "diagram": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("flight_time",)),
         "modes": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("outcome",)),
         "difference": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("up_moved",)),
@@ -306,7 +293,7 @@ class ResultMethods(Methods):
 class SpringMethods(Methods):
     """A method for each result of a spring."""
 
-    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {
+    RESULTS: ClassVar[Results] = {
         "threshold": (("json", "bin", "nc"), ()),
         "thresholds": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("cause",)),
         "orbits": (("json", "bin", "nc", "csv", "parquet", "png", "svg", "pdf"), ("points", "event_gamma")),

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, get_args, get_
 import click
 
 from service.cli import options
-from service.formats import EXPORTS, PICTURES, DatasetFormat, ExportLayout
-from service.result_methods import Methods, ResultMethods, SpringMethods
+from service.formats import EXPORTS, PICTURES, DatasetFormat, ExportLayout, Methods
+from service.result_methods import ResultMethods, SpringMethods
 
 if TYPE_CHECKING:
     import xarray

@@ -21,25 +21,12 @@ _WIDTH: Final = 110
 
 _HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from service.formats import Methods, Progress, Results
 
 if TYPE_CHECKING:
     import xarray
-
-Names = tuple[str, ...]
-Progress = bool | Callable[[int, int], None]
-
-
-class Methods:
-    """Reads results by name."""
-
-    #: The formats of each result, and the variables whose numbers are the rows of printed tables.
-    RESULTS: ClassVar[dict[str, tuple[Names, Names]]]
-
-    def result(self, name: str, /, **query: Any) -> "xarray.Dataset":
-        """The result of this name."""
-        raise NotImplementedError
 '''
 
 
@@ -55,7 +42,7 @@ def _class(name: str, owner: str, views: dict[str, View]) -> str:
         lines.append(f"        {_literal(view.name)}: {_literal((view.formats, printed))},\n")
     return (
         f'\n\nclass {name}(Methods):\n    """A method for each result of {owner}."""\n\n'
-        f"    RESULTS: ClassVar[dict[str, tuple[Names, Names]]] = {{\n{''.join(lines)}    }}\n"
+        f"    RESULTS: ClassVar[Results] = {{\n{''.join(lines)}    }}\n"
         + "".join(map(_method, views.values()))
     )
 
