@@ -1,7 +1,6 @@
 """Paths beside a ledger, and the file system that it is on."""
 
-import time
-from itertools import chain, count
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -30,11 +29,8 @@ def lock_of(path: Path) -> Path:
 
 
 def replaced_path(path: Path) -> Path:
-    """A free path, with the time in its name, for a ledger that a restore replaces."""
-    stem = f"{path.stem}-replaced-{time.strftime('%Y%m%dT%H%M%S')}"
-    names = chain([stem], (f"{stem}-{number}" for number in count(2)))
-    paths = (path.with_name(f"{name}{path.suffix}") for name in names)
-    return next(free for free in paths if not free.exists())
+    """A path with the time in its name, in microseconds, for a ledger that a restore replaces."""
+    return path.with_name(f"{path.stem}-replaced-{datetime.now():%Y%m%dT%H%M%S-%f}{path.suffix}")
 
 
 def replaced_copies(path: Path) -> list[Path]:
