@@ -3,21 +3,21 @@
 import math
 import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from kernel.numerics.cache import Compilation
 from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.prepare import choice_of
 from service.ledger.model import Failure, JobRecord, JobState
-from service.ledger.search import MAX_TEXT, JobOrder, JobSearch
+from service.ledger.search import JobSearch
 from service.views.registry import VIEWS
 from service.views.view import Query
 from worker.analysis.model_selection import ModelChoice
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.spec.errors import Code, is_number
+from worker.spec.errors import Code
 from worker.spec.specification import Document, Label
 from worker.studies import STUDIES
 
@@ -32,19 +32,6 @@ else:
     Contact, Protocol = Literal[tuple(CONTACT_MODELS)], Literal[tuple(STUDIES)]
 
 
-def _in_utc(moment: datetime) -> datetime:
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
-
-
-def _day(text: object) -> object:
-    if is_number(str(text)):  # Pydantic would take it for seconds since 1970
-        raise ValueError(f"must be a day such as 2026-11-25, not {text}")
-    return text
-
-
-Time = Annotated[datetime, BeforeValidator(_day), AfterValidator(_in_utc)]
-
-
 class NewName(Document):
     """Another name of a job."""
 
@@ -53,36 +40,15 @@ class NewName(Document):
     name: Label
 
 
-class JobsQuery(Query):
+class JobsQuery(JobSearch):
     """Which jobs to list."""
 
-    state: JobState | None = None
-    search: str | None = Field(
-        None,
-        min_length=1,
-        max_length=MAX_TEXT,
-        description="part of the name, ASCII letters in either case, or the beginning of the id",
-    )
     model: Contact | None = None
     protocol: Protocol | None = None
-    pinned: bool | None = None
-    created_from: Time | None = Field(None, description="a date or time, UTC if it names no zone; included")
-    created_before: Annotated[Time | None, Field(description="as created_from; not included")] = None
-    order: JobOrder = JobOrder.NEWEST
     limit: Annotated[int, Field(ge=1, le=1000)] = 100
     cursor: str | None = Field(
         None, pattern="^[0-9A-Za-z_-]{1,2000}$", description="`next` of the page before"
     )
-
-    @property
-    def jobs(self) -> JobSearch:
-        """The search for these jobs."""
-        first, last = (
-            None if time is None else time.timestamp() for time in (self.created_from, self.created_before)
-        )
-        return JobSearch(
-            self.search, self.state, self.model, self.protocol, self.pinned, first, last, self.order
-        )
 
 
 class SubmitQuery(Query):

@@ -3,19 +3,17 @@
 import base64
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import StrEnum
 from itertools import chain
 from operator import attrgetter
 from typing import Annotated, Final, NamedTuple
 
-from pydantic import Field, TypeAdapter
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 
 from service.errors import InvalidRequest
 from service.ledger.model import JobRecord, JobState
-
-#: Longest text to search for, in characters.
-MAX_TEXT: Final = 200
+from worker.spec.errors import is_number
 
 
 class JobOrder(StrEnum):
@@ -56,35 +54,52 @@ _CURSOR: Final = TypeAdapter(
 )
 
 
-@dataclass(frozen=True)
-class JobSearch:
-    """Conditions on jobs; None allows any value.
+def _in_utc(moment: datetime) -> datetime:
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment
 
-    The name must contain `text`, in which the case of ASCII letters does not matter, or the id begin with it.
-    Times are in seconds since 1970; `created_from` is included, `created_before` is not.
-    """
 
-    text: str | None = None
+def _day(text: object) -> object:
+    if is_number(str(text)):  # Pydantic would take it for seconds since 1970
+        raise ValueError(f"must be a day such as 2026-11-25, not {text}")
+    return text
+
+
+Time = Annotated[datetime, BeforeValidator(_day), AfterValidator(_in_utc)]
+
+
+class JobSearch(BaseModel):
+    """Conditions on jobs; None allows any value."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
     state: JobState | None = None
-    model: str | None = None  # kind of contact
-    protocol: str | None = None  # kind of protocol
+    search: str | None = Field(
+        None,
+        min_length=1,
+        max_length=200,
+        description="part of the name, ASCII letters in either case, or the beginning of the id",
+    )
+    model: str | None = None
+    protocol: str | None = None
     pinned: bool | None = None
-    created_from: float | None = None
-    created_before: float | None = None
+    created_from: Time | None = Field(None, description="a date or time, UTC if it names no zone; included")
+    created_before: Annotated[Time | None, Field(description="as created_from; not included")] = None
     order: JobOrder = JobOrder.NEWEST
 
     def where(self, after: Position | None = None) -> tuple[str, list[str | float | None]]:
         """The WHERE clause of a query of `jobs` for jobs behind `after`, and its parameters."""
+        ends = (self.created_from, self.created_before)
+        first, last = (None if end is None else end.timestamp() for end in ends)
         values: dict[str, Sequence[str | float | None]] = {
             "state = ?": [self.state],
             "model = ?": [self.model],
             "protocol = ?": [self.protocol],
             "pinned = ?": [self.pinned],
-            "created >= ?": [self.created_from],
-            "created < ?": [self.created_before],
+            "created >= ?": [first],
+            "created < ?": [last],
         }
-        if self.text:
-            text = self.text.casefold()
+        if self.search:
+            text = self.search.casefold()
             values["(instr(casefold(name), ?) OR instr(id, ?) = 1)"] = [text, text]
         if after is not None:
             column = _COLUMNS[self.order]
@@ -98,7 +113,7 @@ class JobSearch:
         column = _COLUMNS[self.order]
         return f"ORDER BY {column.sql} {column.way}, seq {column.way}"
 
-    def cursor(self, job: JobRecord) -> str:
+    def cursor_after(self, job: JobRecord) -> str:
         """The cursor after a job; opaque to clients."""
         text = json.dumps([self.order, _COLUMNS[self.order].key(job), job.seq], ensure_ascii=False)
         return base64.urlsafe_b64encode(text.encode()).decode().rstrip("=")

@@ -118,15 +118,14 @@ def _submitted(
 @router.get("/jobs", summary="List jobs", responses=problem_responses(422))
 def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()]) -> schemas.JobList:
     """Those that all parameters allow, in the `order` asked for; `next` is the cursor of the next page."""
-    search = query.jobs
-    after = None if query.cursor is None else search.read_cursor(query.cursor)
+    after = None if query.cursor is None else query.read_cursor(query.cursor)
     with service.ledger.reading() as ledger:
-        records = ledger.search(search, query.limit + 1, after)
-        total = ledger.count_found(search)
+        records = ledger.search(query, query.limit + 1, after)
+        total = ledger.count_found(query)
     page, more = records[: query.limit], len(records) > query.limit
     now = time.time()
     views = [job_view(job, now, longest_spec=schemas.LONG_SPEC) for job in page]
-    following = search.cursor(page[-1]) if more else None
+    following = query.cursor_after(page[-1]) if more else None
     return schemas.JobList(jobs=views, total=total, next=following, notice=service.ledger.fault())
 
 

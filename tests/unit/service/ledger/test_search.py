@@ -1,7 +1,7 @@
 """Jobs found in the ledger and over HTTP: every condition, every order, page by page."""
 
 from collections.abc import Iterator
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ def _accept(writing: Any, number: int) -> None:
 
 def _allows(search: JobSearch, job: JobRecord) -> bool:
     """The slow twin of the SQL."""
-    text = (search.text or "").casefold()
+    text = (search.search or "").casefold()
     return all(
         [
             text in job.name.casefold() or job.id.startswith(text),
@@ -60,8 +60,8 @@ def _allows(search: JobSearch, job: JobRecord) -> bool:
             search.model is None or f'"{search.model}"' in job.spec,
             search.protocol is None or f'"{search.protocol}"' in job.spec,
             search.pinned in (None, job.pinned),
-            search.created_from is None or job.created >= search.created_from,
-            search.created_before is None or job.created < search.created_before,
+            search.created_from is None or job.created >= search.created_from.timestamp(),
+            search.created_before is None or job.created < search.created_before.timestamp(),
         ]
     )
 
@@ -83,13 +83,13 @@ def _maybe(*values: Any) -> st.SearchStrategy[Any]:
 
 SEARCHES = st.builds(
     JobSearch,
-    text=_maybe("FIG", "0 %", "a_b", "_", "%", "\\", "ω", "0"),
+    search=_maybe("FIG", "0 %", "a_b", "_", "%", "\\", "ω", "0"),
     state=_maybe(*STATES),
     model=_maybe(*MODELS, "ball"),
     protocol=_maybe(*PROTOCOLS),
     pinned=_maybe(True, False),
-    created_from=_maybe(0.0, 86_400.0 * 7),
-    created_before=_maybe(86_400.0 * 30),
+    created_from=_maybe(datetime(1970, 1, 1, tzinfo=UTC), datetime(1970, 1, 8)),
+    created_before=_maybe(datetime(1970, 1, 31)),
     order=st.sampled_from(list(JobOrder)),
 )
 
@@ -104,7 +104,7 @@ def test_pages_hold_what_the_search_allows_in_its_order(ledger: Ledger, search: 
         assert reading.count_found(search) == len(expected)
         while page := reading.search(search, size, after):
             found += page
-            after = search.read_cursor(search.cursor(page[-1]))
+            after = search.read_cursor(search.cursor_after(page[-1]))
     assert [job.seq for job in found] == [job.seq for job in expected]
 
 
