@@ -19,7 +19,10 @@ from kernel.threshold import threshold
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:  # loaded where something is drawn
+    Artist = Axes = Figure = Any
 
 #: The colours of the project by their meaning, each on white and on a dark background. The page reads the
 #: same file. Pictures are on white.
@@ -138,7 +141,7 @@ def values_at(result: xarray.Dataset, axes: Iterable[str]) -> str:
     return ", ".join(f"{SYMBOLS[axis]} = {result[axis].item():g}" for axis in axes)
 
 
-def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) -> None:
+def draw_diagram(axes: Axes, diagram: xarray.Dataset, longest: float = 0.0) -> None:
     """The flights of every cell, each direction in its colour: dots, or density where dots would overlap.
 
     longest: the flight, rad, for which the axes have room; 0 for the longest of the diagram. A cell at rest
@@ -175,7 +178,7 @@ def draw_diagram(axes: "Axes", diagram: xarray.Dataset, longest: float = 0.0) ->
     axes.set(xlabel=AXES[along], ylabel=FLIGHT)
 
 
-def draw_incomplete(axes: "Axes", reason: str) -> None:
+def draw_incomplete(axes: Axes, reason: str) -> None:
     """Over the axes, that the result is incomplete, and why."""
     axes.annotate(
         f"incomplete: {reason}", (0.5, 0.5), xycoords="axes fraction", ha="center", color=WARNING,
@@ -190,7 +193,7 @@ def dot_of(cells: int) -> float:
 
 
 def _draw_density(
-    axes: "Axes", x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], colour: str
+    axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], colour: str
 ) -> None:
     """Flights at values of the axis, as bins of a dot's size that are darker with more flights."""
     from matplotlib.colors import LinearSegmentedColormap, LogNorm, to_rgba
@@ -205,7 +208,7 @@ def _draw_density(
     )  # fmt: skip
 
 
-def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
+def _scale(axes: Axes, values: NDArray[np.float64], highest: float) -> None:
     from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
     if len(values) > 1:
@@ -219,7 +222,7 @@ def _scale(axes: "Axes", values: NDArray[np.float64], highest: float) -> None:
     axes.set_ylim(0, 1.06 * highest)
 
 
-def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
+def set_scales(axes: Axes, result: xarray.Dataset) -> None:
     """Make the axes in the attribute `log` logarithmic, for values above zero, and the others linear."""
     for name in "xy" if "log" in result.attrs else "":
         if name in result.attrs["log"]:
@@ -228,7 +231,7 @@ def set_scales(axes: "Axes", result: xarray.Dataset) -> None:
             getattr(axes, f"set_{name}scale")("linear")
 
 
-def _make_logarithmic(axes: "Axes", name: str) -> None:
+def _make_logarithmic(axes: Axes, name: str) -> None:
     from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 
     low, high = getattr(axes, f"get_{name}lim")()
@@ -250,7 +253,7 @@ def _is_geometric(values: NDArray[np.float64]) -> bool:
     return bool(np.ptp(ratios) < 1e-6 * ratios[0] and np.ptp(steps) > 1e-6 * steps[0])
 
 
-def _draw_periods(axes: "Axes") -> None:
+def _draw_periods(axes: Axes) -> None:
     """Whole plate periods as faint lines, counted on the right."""
     low, high = axes.get_ylim()
     periods = range(max(1, math.ceil(low / PERIOD)), int(high / PERIOD) + 1)
@@ -262,7 +265,7 @@ def _draw_periods(axes: "Axes") -> None:
         )  # fmt: skip
 
 
-def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi: float) -> None:
+def _draw_threshold(axes: Axes, values: NDArray[np.float64], omega: float, xi: float) -> None:
     """Γ_th of Eq. 25, at which a spring at rest begins to bounce."""
     onset = float(threshold(omega, xi))
     if values[0] <= onset <= values[-1]:
@@ -273,7 +276,7 @@ def _draw_threshold(axes: "Axes", values: NDArray[np.float64], omega: float, xi:
         )  # fmt: skip
 
 
-def draw_branches(ax: "Axes", branches: xarray.Dataset, along: str = "gamma") -> None:
+def draw_branches(ax: Axes, branches: xarray.Dataset, along: str = "gamma") -> None:
     """Flight times over the parameter: solid if stable, dashed if unstable, thin dots if not admissible."""
     for i in range(branches.sizes["branch"]):
         branch = branches.isel(branch=i)
@@ -289,7 +292,7 @@ def draw_branches(ax: "Axes", branches: xarray.Dataset, along: str = "gamma") ->
             ax.plot(x, flight, color=LINES["branch"], zorder=4, linestyle=style, linewidth=width)
 
 
-def draw_cycles(ax: "Axes", branches: xarray.Dataset) -> None:
+def draw_cycles(ax: Axes, branches: xarray.Dataset) -> None:
     """Branches as `draw_branches`, with labels of the axes and a title."""
     along = branches.attrs.get("along", "gamma")
     draw_branches(ax, branches, along)
@@ -323,7 +326,7 @@ def classes_of(
     return np.where(np.isfinite(multiplier), margins, cells)
 
 
-def draw_returns(ax: "Axes", diagram: xarray.Dataset) -> None:
+def draw_returns(ax: Axes, diagram: xarray.Dataset) -> None:
     """Each flight of one cell over the flight before, and the diagonal, where cycles of one flight lie."""
     times = diagram.flight_time.values
     low, high = np.nanmin(times, initial=np.inf), np.nanmax(times, initial=0.0)
@@ -337,7 +340,7 @@ def draw_returns(ax: "Axes", diagram: xarray.Dataset) -> None:
     ax.set(xlabel=FLIGHT, ylabel="next flight time (rad)")
 
 
-def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
+def draw_exponents(ax: Axes, diagram: xarray.Dataset) -> None:
     """The largest Lyapunov exponent along the axis with its standard error, the others faint."""
     along = along_of(diagram)
     for line in by_direction(diagram):
@@ -354,7 +357,7 @@ def draw_exponents(ax: "Axes", diagram: xarray.Dataset) -> None:
     ax.set_title(values_at(diagram, (axis for axis in AXES if axis != along)))
 
 
-def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: NDArray[np.float64]) -> None:
+def draw_measured(ax: Axes, points: Any, axis: NDArray[np.float64], computed: NDArray[np.float64]) -> None:
     """Measured points with their errors, and below them their residuals from the nearest computed values.
 
     points: a `service.client.measured.Measured`. computed (n, k): values at the n values of the axis, NaN
@@ -389,7 +392,7 @@ def draw_measured(ax: "Axes", points: Any, axis: NDArray[np.float64], computed: 
     below.set_title(summary, loc="right", fontsize=8, pad=2)
 
 
-def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
+def draw_strips(ax: Axes, diagram: xarray.Dataset) -> None:
     """Above a diagram, a strip of each direction with the modes of its cells, and a legend.
 
     Classes in the attribute `hide` are left out.
@@ -410,7 +413,7 @@ def draw_strips(ax: "Axes", diagram: xarray.Dataset) -> None:
     legend_beside(ax, [*lines, *entries(shown, CLASSES)], 1.05, markerscale=LEGEND_DOT / dot)
 
 
-def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
+def draw_caption(axes: Axes, result: xarray.Dataset) -> None:
     """Above a diagram, the values of the other axes, and how it was computed."""
     fixed = (axis for axis in AXES if axis != result.attrs["along"])
     title = ",   ".join(f"{SYMBOLS[axis]} = {float(result[axis]):.6g}" for axis in fixed)
@@ -420,7 +423,7 @@ def draw_caption(axes: "Axes", result: xarray.Dataset) -> None:
     axes.set_title(caption, loc="right", fontsize=8.5, color="0.35", pad=pad)
 
 
-def entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
+def entries(cells: NDArray[Any], classes: Mapping[str, str]) -> list[Artist]:
     """Legend entries of the classes that cells have; cells: indices into `classes`."""
     from matplotlib.patches import Patch
 
@@ -431,7 +434,7 @@ def entries(cells: NDArray[Any], classes: Mapping[str, str]) -> "list[Artist]":
     ]
 
 
-def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
+def draw_modes(ax: Axes, modes: xarray.Dataset) -> None:
     """The cells of the plane (Γ, Ω) in the colours of their classes, and of a spring Eq. 25 over them.
 
     With `multiplier`, certified cells by their margin of stability. With the attribute `hide`, missing cells
@@ -469,7 +472,7 @@ def draw_modes(ax: "Axes", modes: xarray.Dataset) -> None:
     ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
 
 
-def _draw_threshold_curve(ax: "Axes", modes: xarray.Dataset) -> "list[Artist]":
+def _draw_threshold_curve(ax: Axes, modes: xarray.Dataset) -> list[Artist]:
     """Γ_th of Eq. 25 over Ω, for a legend; across cells of one Ω or Γ what it is there."""
     ax.set(xlim=ax.get_xlim(), ylim=ax.get_ylim())  # those of the cells
     low, high = ax.get_ylim()
@@ -485,7 +488,7 @@ def _draw_threshold_curve(ax: "Axes", modes: xarray.Dataset) -> "list[Artist]":
 
 
 def draw_cells(
-    ax: "Axes", x: NDArray[Any], y: NDArray[Any], codes: NDArray[Any], colours: Iterable[str], **options: Any
+    ax: Axes, x: NDArray[Any], y: NDArray[Any], codes: NDArray[Any], colours: Iterable[str], **options: Any
 ) -> None:
     """Cells between these sides, each in the colour of its code, from 0."""
     from matplotlib.colors import ListedColormap
@@ -494,14 +497,14 @@ def draw_cells(
     ax.pcolormesh(x, y, codes, rasterized=True, cmap=shades, vmin=-0.5, vmax=shades.N - 0.5, **options)
 
 
-def mark_single(ax: "Axes", x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def mark_single(ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     """Put the only tick of an axis of one value there: the width of its cell says nothing."""
     for axis, values in ((ax.xaxis, x), (ax.yaxis, y)):
         if len(values) == 1:
             axis.set_ticks(values)
 
 
-def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, **options: Any) -> None:
+def legend_beside(ax: Axes, entries: Sequence[Artist], left: float = 1.01, **options: Any) -> None:
     """A legend to the right of the axes, in as many columns as it takes; left: its place, in their widths."""
     place: Any = {"loc": "upper left", "bbox_to_anchor": (left, 1.0), "borderaxespad": 0.0, "frameon": False}
     column = ax.legend(handles=entries, **place, **options).get_window_extent().height
@@ -510,7 +513,7 @@ def legend_beside(ax: "Axes", entries: "Sequence[Artist]", left: float = 1.01, *
         ax.legend(handles=entries, ncols=columns, **place, **options)
 
 
-def draw_thresholds(ax: "Axes", thresholds: xarray.Dataset) -> None:
+def draw_thresholds(ax: Axes, thresholds: xarray.Dataset) -> None:
     """Thresholds over Ω: computed, by Eq. 25, in closed form, and searched."""
     omega, predicted = thresholds.omega.values, thresholds.predicted_down.values
     causes = thresholds.cause.values if "cause" in thresholds else np.full(len(omega), "")

@@ -19,7 +19,6 @@ from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.axes import Axes
 
     from service.client.measured import Data
 
@@ -113,12 +112,12 @@ class BounceAccessor:
     def plot(
         self,
         *,
-        ax: "Axes | None" = None,
+        ax: pictures.Axes | None = None,
         branches: xarray.Dataset | None = None,
         data: "Data | None" = None,
         frequency: float | None = None,
         **where: float | str,
-    ) -> "Axes":
+    ) -> pictures.Axes:
         """Plot a diagram, a map of modes, thresholds, branches, or a part of a whole sweep with matplotlib.
 
         `where` selects a part of a whole sweep: `gamma`, `omega`, `xi` to the nearest grid value, `direction`
@@ -175,13 +174,13 @@ class BounceAccessor:
             raise BounceError("data: is drawn over a diagram or thresholds")
         return ax
 
-    def plot_returns(self, *, ax: "Axes | None" = None) -> "Axes":
+    def plot_returns(self, *, ax: pictures.Axes | None = None) -> pictures.Axes:
         """Plot each flight of a diagram of one cell over the one before."""
         ax = ax if ax is not None else _new_axes()
         pictures.draw_returns(ax, self._dataset.squeeze(pictures.along_of(self._dataset)))
         return ax
 
-    def plot_exponents(self, *, ax: "Axes | None" = None) -> "Axes":
+    def plot_exponents(self, *, ax: pictures.Axes | None = None) -> pictures.Axes:
         """Plot the Lyapunov exponents of a diagram. Raises BounceError where none are stored."""
         if "lyapunov" not in self._dataset:
             raise BounceError("exponents: the sweep has none; submit it with exponents")
@@ -217,11 +216,11 @@ def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.
     return dataset.squeeze([dim for dim in (*pictures.AXES, "direction") if dataset.sizes.get(dim) == 1])
 
 
-def _new_axes() -> "Axes":
+def _new_axes() -> pictures.Axes:
     """The current axes of pyplot if it is in use, as in a notebook; those of a new figure otherwise."""
     pyplot = sys.modules.get("matplotlib.pyplot")
     if pyplot is not None:
-        axes: Axes = pyplot.gca()
+        axes: pictures.Axes = pyplot.gca()
         return axes
     from matplotlib.figure import Figure
 

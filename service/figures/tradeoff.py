@@ -8,26 +8,21 @@ compare one by one, and count only for the share of cells with another outcome o
 """
 
 import math
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray
 from matplotlib.lines import Line2D
 
 from kernel.params import Outcome
-from service.pictures import ATTRACTORS
+from service.pictures import ATTRACTORS, Axes, Figure
 from service.views.variables import dataset, row, variables
 from service.views.view import Estimate, Query, View
 from worker.analysis.deviation import percentile
 from worker.analysis.planning import measured
 from worker.spec.contact_models import Ball, Contact, Rigid, Soft, Stepped
 from worker.sweep import SweepSpec
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: With rebound a landing ends in infinitely many ever smaller hops, which `micro_flight` leaves out.
 WINDOWS: Final[dict[str, Any]] = {"settle": 100, "observe": 50, "keep": 1_024, "micro_flight": 1e-2}
@@ -99,7 +94,7 @@ SCHEMES: Final = ("verlet", "euler")
 DEPTHS: Final = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
-def _settings(purpose: str) -> "list[Setting]":
+def _settings(purpose: str) -> list[Setting]:
     """The contacts compared for a purpose, in the order of the table.
 
     For a hard plate the depth decides, not the steps; `stepped` has more rebound there: as e goes to 0 its
@@ -134,7 +129,7 @@ _ROWS: Final = (
 )
 
 
-def measure(settings: "Sequence[Setting]", show: "Callable[[int, int], None]") -> xarray.Dataset:
+def measure(settings: Sequence[Setting], show: Callable[[int, int], None]) -> xarray.Dataset:
     """Measure settings in this process, one after another; calls `show` with those measured, and all."""
     rows = []
     for i, setting in enumerate(settings):
@@ -195,7 +190,7 @@ ERRORS: Final = (1e-14, 1e4)
 COSTS: Final = (0.02, 3e4)
 
 
-def draw(found: xarray.Dataset, figure: "Figure") -> None:
+def draw(found: xarray.Dataset, figure: Figure) -> None:
     """The cost of a plate period against the error of flight times, a panel for each purpose."""
     panels = figure.subplots(1, len(PURPOSES), sharey=True)
     for axes, (name, purpose) in zip(panels, PURPOSES.items(), strict=True):
@@ -224,9 +219,7 @@ def draw(found: xarray.Dataset, figure: "Figure") -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 
-def _draw_line(
-    axes: "Axes", series: Series, adhesive: bool, found: xarray.Dataset, line: "list[int]"
-) -> None:
+def _draw_line(axes: Axes, series: Series, adhesive: bool, found: xarray.Dataset, line: list[int]) -> None:
     """Rows of one model or scheme under one law; a reference is a line across the panel."""
     cost, error, error_95 = (found[name].values for name in ("cost", "error", "error_95"))
     points = [i for i in line if error[i] > 0.0]

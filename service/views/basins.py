@@ -1,7 +1,7 @@
 """The basins of a cell: its attractors, and the attractor that each start of the plane reaches."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import xarray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kernel.labels import label_codes
 from kernel.params import STATE_FIELDS, Outcome
-from service.pictures import ATTRACTORS, UNDECIDED, draw_cells, edges, legend_beside, values_at
+from service.pictures import ATTRACTORS, UNDECIDED, Axes, Figure, draw_cells, edges, legend_beside, values_at
 from service.views.selection import Stored, attractor_label, nearest_values, read_stored
 from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Number, Query, View
@@ -19,11 +19,6 @@ from worker.basins.schema import basin_arrays as stored_arrays
 from worker.basins.specification import Basin, BasinSpec
 from worker.study import Array
 from worker.sweep import AXES
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _OF_START: Final = row(
     "attractor_of_start", ("row", "column"), "|u1", "attractor that a start reaches", comment="0: undecided"
@@ -106,7 +101,7 @@ def estimate(spec: BasinSpec, query: BasinQuery) -> Estimate:
 NAMED: Final = 16
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw the plane of starts, each in the colour of its attractor."""
     axes = figure.subplots()
     colours = [ATTRACTORS[i % len(ATTRACTORS)] for i in range(result.sizes["attractor"])]
@@ -119,7 +114,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     _legend(axes, result, colours)
 
 
-def _legend(axes: "Axes", result: xarray.Dataset, colours: list[str]) -> None:
+def _legend(axes: Axes, result: xarray.Dataset, colours: list[str]) -> None:
     from matplotlib.patches import Patch
 
     columns = (

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import xarray
@@ -25,9 +25,6 @@ from service.views.view import Call, Direction, Estimate, Every, Hide, Log, MinF
 from worker.spec.contact_models import CONTACT_MODELS, Rigid, Soft, Stepped
 from worker.study import Array
 from worker.sweep import AXES, SweepSpec, schema
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class DiagramQuery(Query):
@@ -222,7 +219,7 @@ def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
 SIZE: Final = (8.6, 4.2)
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: pictures.Figure) -> None:
     """Draw the flight times along the axis, and write how many cells are missing; below, any exponents."""
     ratios = (2, 1) if "lyapunov" in result else (2,)
     figure.set_figheight(0.5 * sum(ratios) * SIZE[1])

@@ -1,7 +1,7 @@
 """The difference of two sweeps: cells with other modes, and by how much thresholds move."""
 
 from decimal import ROUND_CEILING, Context
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 import xarray
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.params import Outcome
-from service.pictures import SYMBOLS, draw_modes
+from service.pictures import SYMBOLS, Figure, draw_modes
 from service.views import selection
 from service.views.threshold import on_grid_of
 from service.views.variables import coordinate, dataset, row, variable
@@ -18,9 +18,6 @@ from worker.spec.specification import JobId
 from worker.study import Array
 from worker.sweep import SweepSpec
 from worker.sweep.schema import MODE_ARRAYS, OUTCOME, RECORD
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _PLANE: Final = ("omega", "gamma")
 _OF_CELLS: Final = (*(array for array in RECORD if array.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
@@ -196,7 +193,7 @@ def estimate(spec: SweepSpec, query: DifferenceQuery) -> Estimate:
     return Estimate(lengths, _PLANE, query.every, reads=_PLANE, memory=32 * selection.MAX_READ, small=False)
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw the cells that differ, with the modes of the other sweep."""
     axes = figure.subplots()
     names = [str(name) for name in result.data_vars if str(name).startswith("other_")]

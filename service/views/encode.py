@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from itertools import chain
 from math import prod
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import orjson
@@ -16,10 +16,7 @@ import xarray
 from numpy.typing import NDArray
 
 from service.errors import NotInstalled
-from service.pictures import DPI, STYLE, metadata
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from service.pictures import DPI, STYLE, Figure, metadata
 
 #: Rows of a table converted at a time.
 ROWS: Final = 2**16
@@ -283,7 +280,7 @@ _THREAD: Final = ThreadPoolExecutor(1, thread_name_prefix="pictures")
 
 
 def picture(
-    size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Mapping[str, str]
+    size: tuple[float, float], draw: Callable[[Figure], None], format: str, origin: Mapping[str, str]
 ) -> bytes:
     """The bytes of a picture; the same drawing gives the same bytes.
 
@@ -293,7 +290,7 @@ def picture(
 
 
 def _picture(
-    size: tuple[float, float], draw: "Callable[[Figure], None]", format: str, origin: Mapping[str, str]
+    size: tuple[float, float], draw: Callable[[Figure], None], format: str, origin: Mapping[str, str]
 ) -> bytes:
     import matplotlib as mpl
     from matplotlib.figure import Figure

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from enum import IntEnum
 from math import prod
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import xarray
@@ -13,15 +13,12 @@ from pydantic import Field
 from kernel.modes import counted
 from kernel.params import Outcome
 from service.errors import InvalidRequest
-from service.pictures import by_direction, draw_modes, set_scales
+from service.pictures import Figure, by_direction, draw_modes, set_scales
 from service.views import selection
 from service.views.variables import cells_dataset, coordinate, row, variable
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
 from worker.sweep import SweepSpec, schema
 from worker.sweep.schema import COMPUTED, OUTCOME
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Cells of one mode are on different cycles if their sorted flights differ by more than this, rad. A cycle is
 #: found when its flights repeat within 1e-6 rad; near a fold they may still be 1e-4 from their limit.
@@ -252,7 +249,7 @@ def _last(
     return np.sort(last, axis=1)
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw a map of each direction."""
     ways = by_direction(result)
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):

@@ -8,7 +8,7 @@ Attractors are numbered from 1 by their number of cells.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
@@ -23,10 +23,6 @@ from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Estimate, Number, Query, View
 from worker.basins.schema import MAX_FOLLOWED, OF_ATTRACTORS
 from worker.basins.specification import MultistabilitySpec
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Limit on the cells of an answer, and bytes of memory of each while they are matched.
 MAX_CELLS: Final = 2**16
@@ -272,7 +268,7 @@ COUNTS: Final[dict[str, str]] = dict(
 _BY_ID: Final = (pictures.UNDECIDED, *pictures.ATTRACTORS, pictures.OTHER_ATTRACTORS)
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: pictures.Figure) -> None:
     """Draw two maps, the number of attractors and the one that most drops reach; or the flights of a line."""
     if "flight_time" in result:
         _draw_line(result, figure.subplots())
@@ -296,7 +292,7 @@ def draw(result: xarray.Dataset, figure: "Figure") -> None:
     figure.suptitle(f"{pictures.values_at(result, ['xi'])}  ({result.attrs['model']})", fontsize=11)
 
 
-def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
+def _draw_line(result: xarray.Dataset, axes: pictures.Axes) -> None:
     """Draw the flights of each attractor in its colour; an attractor at rest has a point at 0."""
     ids, times = result.id.values[0], result.flight_time.values[0].copy()
     times[~np.isfinite(times).any(axis=-1), 0] = 0.0
@@ -312,7 +308,7 @@ def _draw_line(result: xarray.Dataset, axes: "Axes") -> None:
     _name_attractors(axes, result)
 
 
-def _name_attractors(axes: "Axes", result: xarray.Dataset) -> None:
+def _name_attractors(axes: pictures.Axes, result: xarray.Dataset) -> None:
     from matplotlib.patches import Patch
 
     named = zip(result.attractor.values.tolist(), result.attractor_label.values.tolist(), strict=True)

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from math import inf, prod
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
 from pydantic import Field
 
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import ATTRACTORS
+from service.pictures import ATTRACTORS, Axes
 from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
@@ -18,9 +18,6 @@ from worker.studies import study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, finest, level
 from worker.sweep.specification import EFFORTS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 #: Parts of the sweep's cells that the compared grids have.
 PARTS: Final = (1.0, 1 / 4, 1 / 16, 1 / 64)
@@ -114,7 +111,7 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     return dataset(variables(_ROWS, data), {}, attrs)
 
 
-def draw(result: xarray.Dataset, axes: "Axes") -> None:
+def draw(result: xarray.Dataset, axes: Axes) -> None:
     """Draw the share shown wrong over the time of each setting, with the frontier and the recommended one."""
     axes.set(xscale="log", xlabel="time (s)", ylabel="share of the plane shown wrong")
     order = np.argsort(result["seconds"].values)

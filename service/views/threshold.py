@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
@@ -14,7 +14,7 @@ from kernel.cycles.thresholds import EQ_25, Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
-from service.pictures import IDEAL, draw_incomplete, draw_thresholds
+from service.pictures import IDEAL, Figure, draw_incomplete, draw_thresholds
 from service.views import orbits, selection
 from service.views.springs.queries import name_of
 from service.views.springs.threshold import predicted
@@ -31,9 +31,6 @@ from worker.analysis.prediction import (
 )
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Values of omega that a call refines: few enough to share out, enough to be worth a call.
 BLOCK: Final = 16
@@ -315,7 +312,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
     return why
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw the thresholds over Ω, and write where cells are missing."""
     draw_thresholds(axes := figure.subplots(), result)
     if not result.attrs["complete"]:

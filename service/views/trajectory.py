@@ -1,6 +1,6 @@
 """The motion of one cell while the caller waits: plate, masses and contact force, sample by sample."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 import xarray
@@ -14,7 +14,7 @@ from kernel.numerics.elementary import TWO_PI
 from kernel.params import STATE_FIELDS, Cell, KernelInputError, Outcome
 from kernel.trajectory import Trajectory, sample
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import LINES
+from service.pictures import LINES, Figure
 from service.views import proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variables
 from service.views.view import Estimate, FirstDirection, Number, Query, View
@@ -31,9 +31,6 @@ from worker.sweep.protocols import MAX_START_PERIODS, OnCycle
 from worker.sweep.specification import WITH_CYCLES, no_cycle
 from worker.sweep.task import run_cells
 from worker.work import plate_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Limit on the samples in an answer.
 MAX_SAMPLES: Final = 20_000
@@ -391,7 +388,7 @@ def _check_ended(field: str, outcome: int) -> None:
         raise InvalidRequest.of(field, f"the cell is {name} before the first sample")
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw plate and masses, the upper mass lowered by the rest length, and the contact force."""
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     periods = result.phase.values / TWO_PI

@@ -4,20 +4,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import xarray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from service.formats import PICTURES
-from service.pictures import CLASS_NAMES
+from service.pictures import CLASS_NAMES, Figure
 from service.views import encode
 from service.views.selection import thinning
 from worker.spec.axes import LARGEST, SMALLEST, within
 from worker.study import Array
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
@@ -124,7 +121,7 @@ class View:
     rows: str | None = None  # the variable whose numbers are the rows of a table
     finer_rows: str | None = None  # the variable that replaces `rows` if the Dataset has it
     printed: tuple[str, ...] = ()  # rows of the tables that the command prints; default: `rows`
-    draw: "Callable[[xarray.Dataset, Figure], None] | None" = None
+    draw: Callable[[xarray.Dataset, Figure], None] | None = None
     size: tuple[float, float] = (6.8, 4.2)  # of the picture, inches
     #: Whose threads compute it (`service.api.capacity`); default: of "on demand" with `parts`, else "read".
     activity: Literal["read", "trajectory"] | None = None

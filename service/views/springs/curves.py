@@ -1,7 +1,7 @@
 """Curves of the events of a spring's cycles over one of its parameters, in closed form or followed."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import numpy as np
 import xarray
@@ -10,7 +10,7 @@ from pydantic import Field
 from kernel.cycles.curves import Curves, Parameter, curves
 from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
-from service.pictures import ATTRACTORS, AXES, IDEAL, legend_beside, values_at
+from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, legend_beside, values_at
 from service.views.springs.branches import EVENTS, ROWS, below, closed_form, columns, event_columns, padded
 from service.views.springs.queries import (
     ContactQuery,
@@ -24,9 +24,6 @@ from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, View, Xi
 from worker.analysis.cycles import CONTACT_CURVES, curves_seconds, follow_curves
 from worker.spec.errors import one_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Limit on the core-seconds of an answer. Core-seconds of a mode per flight time of its branch, at the
 #: smaller omega.
@@ -139,7 +136,7 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     return Estimate({"curve": len(modes), "point": _POINTS}, memory=_MEMORY, small=False)
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw Γ of every curve, each kind in its colour; dotted where the cycle is not admissible."""
     axes, along = figure.subplots(), result.attrs["along"]
     colours = {str(kind): colour for kind, colour in zip(KINDS, ATTRACTORS, strict=False)}

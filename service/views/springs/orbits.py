@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import xarray
@@ -12,7 +12,7 @@ from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, Events, Kind, branch, branch_and_events, join_events, rows_of
 from kernel.params import Cell
 from service.errors import InvalidRequest
-from service.pictures import IDEAL, draw_cycles
+from service.pictures import IDEAL, Figure, draw_cycles
 from service.views import proofs
 from service.views.selection import check_order
 from service.views.springs.branches import (
@@ -43,9 +43,6 @@ from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, N
 from worker.analysis.cycles import CYCLE_SECONDS, FollowedCycles, follow_along, follow_cycles
 from worker.analysis.prediction import branch_seconds
 from worker.orbits.specification import MAX_POINTS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
 WithDoubled = Annotated[bool, Field(description="branches of twice the period that begin at flips as well")]
@@ -229,7 +226,7 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
     return Estimate(sizes, memory=sum(lengths) * _PER_POINT, seconds=seconds, small=small)
 
 
-def draw(result: xarray.Dataset, figure: "Figure") -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     draw_cycles(figure.subplots(), result)
 
 

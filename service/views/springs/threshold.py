@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
@@ -14,7 +14,7 @@ from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import EQ_25, Thresholds
 from kernel.search import starts_of
 from service.errors import InvalidRequest
-from service.pictures import ATTRACTORS, AXES, IDEAL, edges, legend_beside, mark_single, values_at
+from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, edges, legend_beside, mark_single, values_at
 from service.views import proofs
 from service.views.springs.queries import ContactQuery, name_of
 from service.views.variables import ENERGY, coordinate, dataset, row, variable
@@ -30,9 +30,6 @@ from worker.analysis.prediction import (
 from worker.spec.axes import Strict, values_of
 from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import specification
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 #: Number of springs whose thresholds are kept, the last used.
 KEPT: Final = 4096
@@ -263,7 +260,7 @@ def estimate_grid(spec: None, query: GridQuery) -> Estimate:
 _MOST_LINES: Final = 5
 
 
-def draw_grid(result: xarray.Dataset, figure: "Figure") -> None:
+def draw_grid(result: xarray.Dataset, figure: Figure) -> None:
     """Draw the lowest Γ at which bouncing persists: a line over omega for each of a few xi, or a map.
 
     Diamonds: searched. Dashed: Eq. 25. White on a map: not decided.
