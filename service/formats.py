@@ -41,6 +41,7 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
 
 #: The formats of each result, and the variables whose numbers are the rows of printed tables.
 Results: TypeAlias = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]
+#: Whether progress is shown, or what is called with the number of parts computed and that of all.
 Progress: TypeAlias = bool | Callable[[int, int], None]
 
 

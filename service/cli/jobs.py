@@ -3,6 +3,7 @@
 import json
 import sys
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -27,8 +28,6 @@ from service.formats import EXPORTS, PICTURES, TABLES, DatasetFormat
 from service.result_methods import ResultMethods
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from service.client import Client, Job
 
 STATES: Final = ("queued", "running", "done", "failed", "cancelled")
@@ -314,7 +313,7 @@ COMMANDS: Final = (
 )  # fmt: skip
 
 
-def _specification(spec: str, effort: str | None = None) -> "Mapping[str, Any]":
+def _specification(spec: str, effort: str | None = None) -> Mapping[str, Any]:
     """The specification in a file, or for - in standard input, with this effort if given."""
     from service.client.specification import read
 

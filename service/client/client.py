@@ -5,7 +5,7 @@ import os
 import re
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from datetime import datetime
 from functools import partial
@@ -16,19 +16,17 @@ from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote
 
 from service.client import errors
-from service.client.display import PartsCallback, display_line
+from service.client.display import display_line
 from service.client.job import Job, ResultReader, until_ended
 from service.client.models import Estimate, Problem
 from service.client.specification import Specification, body
 from service.client.transport import MAX_OUTAGE, Transport, header_value, json_object, outlast
-from service.formats import MOST_SHARED
+from service.formats import MOST_SHARED, Progress
 from service.result_methods import SpringMethods
 from service.tokens import default_url
 from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     import httpx2
     import xarray
 
@@ -248,7 +246,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                 return
             query["cursor"] = page["next"]
 
-    def as_completed(self, jobs: "Iterable[Job]", timeout: float | None = None) -> Iterator[Job]:
+    def as_completed(self, jobs: Iterable[Job], timeout: float | None = None) -> Iterator[Job]:
         """Yield the jobs as they end: done, failed or cancelled; see `Job.state`.
 
         Parameters
@@ -267,7 +265,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         """
         return until_ended(jobs, timeout)
 
-    def map(self, specs: "Iterable[Specification]", *, at_once: int = 16) -> Iterator[Job]:
+    def map(self, specs: Iterable[Specification], *, at_once: int = 16) -> Iterator[Job]:
         """Submit specifications and yield their jobs in order, each once it has ended.
 
         Parameters
@@ -303,7 +301,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         tolerance: float | None = None,
         seed: int = 0,
         timeout: float = 600.0,
-        progress: bool | PartsCallback = True,
+        progress: Progress = True,
     ) -> "xarray.Dataset":
         """What efforts and grids of a sweep would cost, and how much of its picture would be wrong.
 
@@ -339,7 +337,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         """The same as the content of a file: json, csv, nc, parquet, or a picture png, svg, pdf."""
         return self._transport.get_result("/v1/plans", format, content=body(spec), **query)
 
-    def trajectory(self, cell: "Mapping[str, Any]") -> "xarray.Dataset":
+    def trajectory(self, cell: Mapping[str, Any]) -> "xarray.Dataset":
         """The motion of one cell, computed during the request.
 
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
@@ -351,7 +349,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
         return from_binary(self.trajectory_file(cell, "bin"))
 
-    def trajectory_file(self, cell: "Mapping[str, Any]", format: str) -> bytes:
+    def trajectory_file(self, cell: Mapping[str, Any], format: str) -> bytes:
         """The same as the content of a file: json, csv, nc or parquet."""
         query = {"format": format}
         return self._transport.post("/v1/trajectories", body(cell), query=query, waits=True).content

@@ -10,12 +10,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from html import escape
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from service.client.models import JobStatus
-
-#: Called with the number of parts computed and the number of all parts.
-PartsCallback: TypeAlias = Callable[[int, int], None]
+from service.formats import Progress
 
 #: A plain line is written after this many percent, and after this many seconds.
 LINE_PERCENT: Final = 10.0
@@ -66,7 +64,7 @@ def display_elapsed(text: str | Callable[[], str], after: float = 0.0) -> Iterat
         shown.join()
 
 
-def display_parts(progress: bool | PartsCallback) -> PartsCallback:
+def display_parts(progress: Progress) -> Callable[[int, int], None]:
     """A function that shows an answer in parts: a line first, then every `LINE_PERCENT`."""
     if callable(progress):
         return progress

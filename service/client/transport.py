@@ -15,7 +15,7 @@ from typing import Any, Final, TypeAlias, TypeVar
 
 import httpx2
 
-from service.client.display import PartsCallback, display_elapsed, display_line, display_parts
+from service.client.display import display_elapsed, display_line, display_parts
 from service.client.errors import (
     BadRequest,
     Busy,
@@ -27,6 +27,7 @@ from service.client.errors import (
     error_class,
 )
 from service.client.models import Problem
+from service.formats import Progress
 from service.tokens import AUTO, find_token, is_loopback
 from worker.files import complete_file
 from worker.spec.errors import BounceError
@@ -172,7 +173,7 @@ class Transport:
         format: str,
         *,
         timeout: float = 300.0,
-        progress: bool | PartsCallback = True,
+        progress: Progress = True,
         content: bytes | None = None,
         **query: Any,
     ) -> bytes:
