@@ -16,9 +16,6 @@ from service.tokens import AUTO, data_folder, find_service, find_token
 #: Seconds for one answer: the first trajectory waits until the kernels are compiled.
 COMPILE_SECONDS: Final = 300.0
 
-#: The address of a service, and the access token for it.
-Service = tuple[str, str | None]
-
 
 @click.command()
 @click.argument("number", metavar="N|all")
@@ -71,8 +68,8 @@ def figure(
 
 
 @contextmanager
-def _service(workers: int | None, data: str | None, token: str | None) -> Iterator[Service]:
-    """A service that keeps its results in the folder `data`, by default BOUNCE_DATA or ./bounce-data.
+def _service(workers: int | None, data: str | None, token: str | None) -> Iterator[tuple[str, str | None]]:
+    """Address and token of a service with its results in `data`, by default BOUNCE_DATA or ./bounce-data.
 
     A folder has one service at a time. If `bounce serve` runs on it, that service is used; otherwise one is
     started in this process, with a token of its own, as other users of the machine reach its port too.

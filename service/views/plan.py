@@ -9,7 +9,7 @@ import xarray
 from pydantic import Field
 
 from service.errors import InvalidRequest, TooLarge
-from service.pictures import ATTRACTORS, Axes
+from service.pictures import ATTRACTORS, Figure
 from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
@@ -111,8 +111,9 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     return dataset(variables(_ROWS, data), {}, attrs)
 
 
-def draw(result: xarray.Dataset, axes: Axes) -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """Draw the share shown wrong over the time of each setting, with the frontier and the recommended one."""
+    axes = figure.subplots()
     axes.set(xscale="log", xlabel="time (s)", ylabel="share of the plane shown wrong")
     order = np.argsort(result["seconds"].values)
     seconds, share, low, high = (result[name].values[order] for name in ("seconds", "share", "low", "high"))
@@ -130,5 +131,5 @@ def draw(result: xarray.Dataset, axes: Axes) -> None:
 
 VIEW: Final = View(
     "plan", "Plan of a sweep", None, PlanQuery, compute, lambda spec, query: Estimate({}), variables=_ROWS,
-    rows="share", draw=lambda found, figure: draw(found, figure.subplots()),
+    rows="share", draw=draw,
 )  # fmt: skip
