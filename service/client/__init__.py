@@ -21,8 +21,9 @@ from service.client.errors import (
     WaitTimeout,
 )
 from service.client.job import Job
-from service.client.models import Estimate, FieldProblem, JobStatus, Problem, Progress
+from service.client.models import Estimate, JobStatus, Problem, Progress
 from worker.spec.errors import BounceError, SpecInvalid
+from worker.spec.errors import Problem as FieldProblem
 
 __all__ = [
     "BadRequest", "BounceError", "Busy", "Client", "Conflict", "Estimate", "FieldProblem",

@@ -5,8 +5,9 @@
 
 from typing import Final
 
-from service.client.models import FieldProblem, JobStatus, Problem
+from service.client.models import JobStatus, Problem
 from worker.spec.errors import BounceError
+from worker.spec.errors import Problem as FieldProblem
 
 
 class ServiceUnreachable(BounceError):

@@ -4,16 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from worker.spec.errors import Problem as FieldProblem
+
 #: The final states of a job; only a request changes them.
 FINISHED: Final = ("done", "failed", "cancelled")
-
-
-class FieldProblem(NamedTuple):
-    """One field, the rule it breaks, and the rule's name, such as "whole"."""
-
-    field: str
-    rule: str
-    code: str = ""
 
 
 @dataclass(frozen=True)
@@ -38,7 +32,7 @@ class Problem:
     def __str__(self) -> str:
         """The detail, then one line for each field that the detail does not mention."""
         text = self.detail or self.title
-        lines = [f"{broken.field}: {broken.rule}".removeprefix(": ") for broken in self.fields]
+        lines = map(str, self.fields)
         return "\n".join([text, *(f"  {line}" for line in lines if line not in text)])
 
 
@@ -140,9 +134,6 @@ class JobStatus:
 
 def _field_problems(errors: object) -> tuple[FieldProblem, ...]:
     """The `errors` member, each entry naming a field and a rule; other entries are ignored."""
-    entries = errors if isinstance(errors, list) else []
-    return tuple(
-        FieldProblem(*(str(entry.get(name) or "") for name in ("field", "rule", "code")))
-        for entry in entries
-        if isinstance(entry, dict)
-    )
+    entries = [entry for entry in errors if isinstance(entry, dict)] if isinstance(errors, list) else []
+    names = FieldProblem._fields
+    return tuple(FieldProblem._make(str(entry.get(name) or "") for name in names) for entry in entries)

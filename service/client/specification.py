@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from service.client.errors import InvalidSpecification
-from service.client.models import FieldProblem
+from worker.spec.errors import Problem as FieldProblem
 
 if TYPE_CHECKING:
     from worker.spec.specification import Specification as Model
