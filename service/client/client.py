@@ -231,8 +231,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             "model": model,
             "protocol": protocol,
             "pinned": pinned,
-            "created_from": _time(created_from),
-            "created_before": _time(created_before),
+            "created_from": created_from,
+            "created_before": created_before,
             "order": order,
             "limit": PAGE_SIZE,
         }
@@ -370,7 +370,3 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
 def _not_found(detail: str) -> errors.NotFound:
     return errors.NotFound(Problem(status=404, title="Not Found", detail=detail))
-
-
-def _time(time: datetime | str | None) -> str | None:
-    return time.isoformat() if isinstance(time, datetime) else time
