@@ -116,10 +116,8 @@ def find_store_job(job_id: str, service: ServiceDep) -> JobRecord:
         raise HTTPException(410, str(error)) from None
 
 
-def _store_job(
-    job: Annotated[JobRecord, Depends(find_store_job)], service: ServiceDep, request: Request
-) -> JobRecord:
-    return _results_job(job, service, request)
+def _store_job(job_id: str, service: ServiceDep, request: Request) -> JobRecord:
+    return _results_job(find_store_job(job_id, service), service, request)
 
 
 #: The job whose store is read.
