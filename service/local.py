@@ -219,7 +219,7 @@ def run_to_file(
             with exports.make(InThisProcess(), whole, settings.exports_path) as made:
                 shutil.copyfileobj(made, file)
         else:
-            file.write(answer("diagram", study, query.model_dump(), format)[0])
+            file.write(answer("diagram", study, query, format)[0])
     shutil.rmtree(partial_of(target))
     return _status(done.record)
 
@@ -244,7 +244,7 @@ def thresholds(omega: float, xi: float, **query: Any) -> xarray.Dataset:
     view.estimate(None, spring)
     calls: Sequence[Call] = view.parts(None, spring) if view.parts else ()
     parts = [function(*given) for function, *given in calls]
-    return from_binary(answer(view.name, None, spring.model_dump(), "bin", parts)[0])
+    return from_binary(answer(view.name, None, spring, "bin", parts)[0])
 
 
 def partial_of(output: Path) -> Path:

@@ -3,7 +3,7 @@
 A new result is a module of this package and a row here.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from math import inf
 from typing import Any, Final
@@ -95,14 +95,14 @@ def admit(
 
 
 def answer(
-    name: str, study: Stored[Any] | None, fields: Mapping[str, Any], format: str, parts: Sequence[Any] = ()
+    name: str, study: Stored[Any] | None, query: Query, format: str, parts: Sequence[Any] = ()
 ) -> tuple[bytes, bool]:
     """Compute a result of a study or a spring: its bytes, and whether it is complete.
 
     Arguments and result can be pickled. Raises as `View.compute`.
     """
     view = SPRINGS[name] if study is None else VIEWS[name]
-    result = view.compute(study, view.query(**fields), *parts)
+    result = view.compute(study, query, *parts)
     return encoded(view, study, result, format), bool(result.attrs["complete"])
 
 

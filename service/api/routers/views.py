@@ -118,7 +118,7 @@ def _answer(
     parts = _parts(service, view, study, job, plain)
     if study is not None and job is not None and query.format in (*PICTURES, *EXPORTS):
         study = replace(study, audit=service.audit_of(job))
-    body, complete = service.background.run(answer, view.name, study, plain.model_dump(), query.format, parts)
+    body, complete = service.background.run(answer, view.name, study, plain, query.format, parts)
     headers = {"Bounce-Complete": "true" if complete else "false"}
     return Response(body, media_type=MEDIA_TYPES[query.format], headers=headers)
 
