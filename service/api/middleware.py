@@ -93,7 +93,13 @@ class Gate:
             return {"type": "http.disconnect"} if head_ended else await receive()
 
         try:
-            await self._answer(inner, headers, receive_until_ended, send_completed)
+            inner["state"]["token_name"] = self._check(inner["method"], inner["path"], headers)
+            if inner["path"].endswith("\n"):  # the `$` of a route would match before it
+                raise HTTPException(404, f"no endpoint {inner['path']!a}; /docs lists the endpoints")
+            await self._app(inner, receive_until_ended, send_completed)
+        except HTTPException as error:
+            refusal = ProblemResponse(error.status_code, error.detail, (), error.headers)
+            await refusal(inner, receive, send_completed)
         except asyncio.CancelledError:
             if status:
                 raise
@@ -106,16 +112,6 @@ class Gate:
             await ProblemResponse(500, detail)(inner, receive, send_completed)
         finally:
             self._record(scope["method"], inner, request_id, status, time.perf_counter() - began)
-
-    async def _answer(self, scope: Scope, headers: Headers, receive: Receive, send: Send) -> None:
-        try:
-            scope["state"]["token_name"] = self._check(scope["method"], scope["path"], headers)
-            if scope["path"].endswith("\n"):  # the `$` of a route would match before it
-                raise HTTPException(404, f"no endpoint {scope['path']!a}; /docs lists the endpoints")
-        except HTTPException as error:
-            await ProblemResponse(error.status_code, error.detail, (), error.headers)(scope, receive, send)
-        else:
-            await self._app(scope, receive, send)
 
     def _complete(self, answer: MutableHeaders, headers: Headers, status: int, scope: Scope) -> None:
         """Add the headers of every response, and its tag if it has one."""
