@@ -1,7 +1,6 @@
 """Error messages, common options and output files of the commands of `bounce`."""
 
 import errno
-import os
 import re
 import time
 from collections.abc import Callable, Mapping
@@ -109,9 +108,9 @@ def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str)
     """Ids of the service's jobs that begin so, with their states and names; none if it does not answer."""
     from service.client import BounceError, Client
 
-    token = ctx.params.get("token") or os.environ.get("BOUNCE_TOKEN")
+    service = ctx.params.get("url"), ctx.params.get("token")
     try:
-        with Client(ctx.params.get("url"), token, timeout=COMPLETION_SECONDS) as client:
+        with Client(*service, timeout=COMPLETION_SECONDS) as client:
             matching = client.jobs(search=incomplete or None)
             jobs = [job for job in matching if job.id.startswith(incomplete)]
     except BounceError:
