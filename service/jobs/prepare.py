@@ -4,7 +4,7 @@ import json
 import logging
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,16 +62,14 @@ class PreparedJob:
         return today.stored_as(stored)
 
     @cached_property
-    def forms(self) -> Sequence[Mapping[str, store.ArrayForm]] | None:
+    def forms(self) -> Mapping[str, store.ArrayForm] | None:
         """The forms of the arrays; None for an outdated job, whose forms only the store knows."""
         return None if self.outdated else store.forms_in(self.layout)
 
     @cached_property
-    def metadata(self) -> Sequence[Mapping[str, bytes]] | None:
-        """The metadata and coordinates that the store may have, by key; None for an outdated job."""
-        if self.outdated:
-            return None
-        return [store.metadata_of(cut, self.attributes) for cut in self.layout.cuts]
+    def metadata(self) -> Mapping[str, bytes] | None:
+        """The store's metadata and coordinates by key; None for an outdated job."""
+        return None if self.outdated else store.metadata_of(self.layout, self.attributes)
 
     @cached_property
     def cost(self) -> Cost:
@@ -96,8 +94,8 @@ class PreparedJob:
                     raise store.StoreDamaged(str(error)) from error
                 return None  # the store is created with the first chunk
         content = store.read_key(self.store_url, key)
-        checked = self.metadata is not None and (begun or content is not None)
-        if checked and content not in [allowed.get(key) for allowed in self.metadata or ()]:
+        checked = begun or content is not None
+        if checked and self.metadata is not None and content != self.metadata.get(key):
             raise store.StoreDamaged(f"{key}: is not what the store's specification says")
         return content
 

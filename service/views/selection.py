@@ -69,7 +69,7 @@ class Stored(Generic[_Spec_co]):
     job: str | None = None  # id of the job
     chunks_done: int = 0
     #: Forms of the stored arrays; None for another kernel version, whose forms only the store knows.
-    forms: Sequence[Mapping[str, store.ArrayForm]] | None = None
+    forms: Mapping[str, store.ArrayForm] | None = None
     submitted: Any = None  # the specification as submitted, perhaps with the contact `auto`
     audit: str | None = None  # sentence of the last audit, for files and pictures
     other: "Stored[Any] | None" = None  # the study to compare with

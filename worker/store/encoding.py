@@ -164,12 +164,8 @@ def _index(form: ArrayForm, index: bytes) -> NDArray[np.uint64]:
     return np.frombuffer(entries, "<u8").reshape(*form.inner_counts, 2)
 
 
-def forms_in(layout: Layout) -> tuple[dict[str, ArrayForm], ...]:
-    """The allowed forms of a layout's arrays, by name, for each of its `cuts`."""
-    return tuple(map(_forms, layout.cuts))
-
-
-def _forms(layout: Layout) -> dict[str, ArrayForm]:
+def forms_in(layout: Layout) -> dict[str, ArrayForm]:
+    """The forms of a layout's arrays, by name."""
     return {
         array.name: ArrayForm(
             np.dtype(array.dtype).newbyteorder("<"),

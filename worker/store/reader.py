@@ -56,7 +56,7 @@ def read_slice(
     names: Iterable[str],
     *,
     complete: bool = False,
-    forms: Sequence[Mapping[str, ArrayForm]] | None = None,
+    forms: Mapping[str, ArrayForm] | None = None,
     **where: Index,
 ) -> dict[str, NDArray[Any]]:
     """Part of some arrays, by index along the cell dimensions; reads only the needed chunks.
@@ -65,7 +65,7 @@ def read_slice(
     come last. Cells that are not computed read as fill values in every array.
 
     complete: whether every chunk has been written, so that a missing one is damage.
-    forms: `forms_in` of the study's layout, one of which the store's metadata must match.
+    forms: `forms_in` of the study's layout, which the store's metadata must match.
     Raises `StoreMissing`, `StoreDamaged`, or `IndexError` outside the grid.
     """
     arrays = stored_forms(url, forms)
@@ -164,17 +164,16 @@ def _fill_values(form: ArrayForm, index: tuple[Index, ...]) -> NDArray[Any]:
     return np.full((*cells, *form.shape[len(cells) :]), form.fill, form.dtype)
 
 
-def stored_forms(url: str, forms: Sequence[Mapping[str, ArrayForm]] | None) -> Mapping[str, ArrayForm]:
-    """The forms of a store's arrays; if `forms` are given, the ones that the store's metadata match.
+def stored_forms(url: str, forms: Mapping[str, ArrayForm] | None) -> Mapping[str, ArrayForm]:
+    """The forms of a store's arrays; if `forms` are given, these, which the store's metadata must match.
 
     Raises StoreMissing, StoreDamaged.
     """
-    stored, wrong = forms_of(root_of(url)), list[str]()
-    for expected in [stored] if forms is None else forms:
-        wrong = [name for name, form in expected.items() if not same(form, stored.get(name))]
-        if not wrong:
-            return expected
-    raise StoreDamaged(f"the store's metadata are not those of its specification: {', '.join(wrong)}")
+    stored = forms_of(root_of(url))
+    expected = stored if forms is None else forms
+    if wrong := [name for name, form in expected.items() if not same(form, stored.get(name))]:
+        raise StoreDamaged(f"the store's metadata are not those of its specification: {', '.join(wrong)}")
+    return expected
 
 
 def read_file(url: str, key: str, forms: Mapping[str, ArrayForm], *, complete: bool = False) -> bytes | None:

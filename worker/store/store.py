@@ -54,14 +54,9 @@ def _other_chunks(url: str, rule: str) -> StoreConflict:
 
 
 def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = None) -> list[str]:
-    """Rewrite metadata and coordinates that differ from the layout's; return the keys rewritten.
-
-    A store keeps its inner chunks: of the layout's `cuts`, it has the one with the fewest differences.
-    """
-    allowed = [metadata_of(cut, attrs) for cut in layout.cuts]
-    stored = {key: backend.read_key(url, key) for key in allowed[0]}
-    differing = [[key for key in stored if stored[key] != content[key]] for content in allowed]
-    wrong, expected = min(zip(differing, allowed, strict=True), key=lambda cut: len(cut[0]))
+    """Rewrite metadata and coordinates that differ from the layout's; return the keys rewritten."""
+    expected = metadata_of(layout, attrs)
+    wrong = [key for key, content in expected.items() if backend.read_key(url, key) != content]
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
     if wrong:

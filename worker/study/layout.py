@@ -39,9 +39,6 @@ _CHUNK_KEY: Final = re.compile(r"c/0|c(?:\.(?:0|[1-9][0-9]{0,8})){1,8}")  # of a
 #: reading a cell reads one inner chunk.
 WHOLE_BYTES: Final = 512 * 2**10
 INNER_BYTES: Final = 128 * 2**10
-#: The same for the chunks of all arrays together, to which releases up to 0.2 gave the same inner chunks.
-ALIKE_WHOLE_BYTES: Final = 17 * 2**20
-ALIKE_INNER_BYTES: Final = 4 * 2**20
 
 
 class Array(NamedTuple):
@@ -88,7 +85,6 @@ class Layout:
     attributes: Mapping[str, Any] = field(default_factory=dict)  # of the store
     #: Attributes that identify the store: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
-    cut_alike: bool = False  # inner chunks as in stores of releases up to 0.2
 
     def __post_init__(self) -> None:
         """Raise ValueError for an array with a dimension's name, which readers take for its coordinate."""
@@ -128,27 +124,17 @@ class Layout:
         """Length of an array's chunk along each of its dimensions."""
         return tuple(self.chunk_sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)
 
-    @property
-    def cuts(self) -> tuple["Layout", ...]:
-        """The layouts that the store may have: this one, and that of releases up to 0.2 if it differs."""
-        before = replace(self, cut_alike=True)
-        differs = any(self.inner_shape(array) != before.inner_shape(array) for array in self.arrays)
-        return (self, before) if differs else (self,)
-
     def inner_shape(self, array: Array) -> tuple[int, ...] | None:
         """Length of an array's inner chunks along each of its dimensions; None if chunks are not sharded.
 
         Chunks are halved along the cell dimensions in turn, so that reading a line along any of them reads
         few other cells. Odd lengths are not halved.
         """
-        whole, most, size = WHOLE_BYTES, INNER_BYTES, self._chunk_bytes(array)
-        if self.cut_alike:
-            whole, most, size = ALIKE_WHOLE_BYTES, ALIKE_INNER_BYTES, self.chunk_bytes
-        if size <= whole:
+        size, sizes = self._chunk_bytes(array), dict(self.chunk_sizes)
+        if size <= WHOLE_BYTES:
             return None
-        sizes, units = dict(self.chunk_sizes), {} if self.cut_alike else self.chunk_sizes
-        while size > most and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
-            longest = max(even, key=lambda dim: sizes[dim] / units.get(dim, 1))
+        while size > INNER_BYTES and (even := [dim for dim, n in sizes.items() if n % 2 == 0]):
+            longest = max(even, key=lambda dim: sizes[dim] / self.chunk_sizes[dim])
             sizes[longest] //= 2
             size //= 2
         shape = tuple(sizes.get(dim) or self.extra_sizes[dim] for dim in array.dims)

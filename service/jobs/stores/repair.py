@@ -99,7 +99,7 @@ def find_damage(prepared: PreparedJob, done: Iterable[int]) -> list[ChunkCoords]
     """
     url, layout = prepared.store_url, prepared.layout
     store.stored_forms(url, prepared.forms)
-    for key in prepared.metadata[0] if prepared.metadata else ():
+    for key in prepared.metadata or ():
         prepared.read_file(key, complete=True)
     damaged = []
     for chunk in map(prepared.plan.__getitem__, done):

@@ -151,10 +151,9 @@ def _checked(files: dict[str, bytes], spec: Any, attrs: dict[str, Any]) -> Layou
         layout: Layout = study_of(spec).variables(spec, plan.chunk_shape)
         choice = {name: attrs[name] for name in ("model", "choice")} if is_open(spec) else {}
         fits = len(plan) < len(files) and layout.chunk_bytes <= MOST_OF_A_CHUNK
-        if fits and sorted(files) == sorted(store.keys_of(layout, plan)):
-            for cut in layout.cuts:
-                if store.metadata_of(cut, choice).items() <= files.items():
-                    return layout
+        whole = fits and sorted(files) == sorted(store.keys_of(layout, plan))
+        if whole and store.metadata_of(layout, choice).items() <= files.items():
+            return layout
     except (LookupError, TypeError, ValueError) as error:
         raise InvalidRequest.of("file", _DAMAGED) from error
     raise InvalidRequest.of("file", _DAMAGED)

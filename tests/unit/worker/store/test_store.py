@@ -245,7 +245,7 @@ def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, mo
 @pytest.fixture
 def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     """A store whose larger arrays have shards of 2 × 2 × 2 inner chunks."""
-    for name, size in (("WHOLE_BYTES", 1000), ("INNER_BYTES", 300), ("ALIKE_WHOLE_BYTES", 2000)):
+    for name, size in (("WHOLE_BYTES", 1000), ("INNER_BYTES", 300)):
         monkeypatch.setattr(cutting, name, size)
     url = str(tmp_path / "sharded.zarr")
     plan = planned(url, spec, (2, 2, 8))
@@ -279,27 +279,6 @@ def test_a_damaged_part_is_noticed_by_those_who_need_it(sharded):
     with pytest.raises(store.StoreDamaged, match="cannot be decoded"):
         store.read_slice(url, ["flight_time"], direction=0, xi=0, omega=0, gamma=0)
     store.read_slice(url, ["flight_time"], direction=0, xi=1, omega=0, gamma=0)
-
-
-def test_a_store_of_an_earlier_release_keeps_its_inner_chunks(sharded, spec, tmp_path):
-    """Whatever is damaged and computed again: it never has chunks of two forms."""
-    url, plan = sharded
-    now, old = layout(spec, plan.chunk_shape), str(tmp_path / "old.zarr")
-    store.create(old, replace(now, cut_alike=True))
-    for chunk in plan:
-        store.write_chunk(old, chunk, record_of(spec, chunk))
-    before = files(old)
-    assert store.stored_forms(old, store.forms_in(now)) != store.stored_forms(url, store.forms_in(now))
-    for name in now.names:
-        read = (store.read_slice(place, [name], forms=store.forms_in(now))[name] for place in (old, url))
-        np.testing.assert_array_equal(*read)
-    (Path(old) / "zarr.json").write_text("{}")
-    (Path(old) / "flight_time" / "zarr.json").unlink()
-    store.discard(old, now, plan[0])
-    assert len(store.repair_metadata(old, now)) == 2
-    store.create(old, now)
-    store.write_chunk(old, plan[0], record_of(spec, plan[0]))
-    assert files(old) == before
 
 
 @pytest.mark.parametrize("damage", [flip, cut, delete])
