@@ -16,7 +16,6 @@ import shutil
 import time
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +23,8 @@ from worker.ownership import PRIVATE_FOLDER, NotOurs, check_unshared, temporary_
 
 log = logging.getLogger(__name__)
 
+#: The folder of the project's packages.
+_PACKAGES: Final = Path(__file__).parents[1]
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _USED: Final = "used"
 _OLD_SECONDS: Final = 14 * 24 * 3600
@@ -40,7 +41,7 @@ _chosen: list[Path] = []
 def use_cache(root: str | Path | None = None) -> Path:
     """Make this process use the cache of compiled kernels, and return its folder.
 
-    Later calls return the same folder. Raises CacheRefused, or ModuleNotFoundError if there is no kernel.
+    Later calls return the same folder. Raises CacheRefused.
     """
     if not _chosen:
         folder = _cache_folder(Path(root) if root else default_root())
@@ -112,13 +113,8 @@ def _remove_old(root: Path, keep: Path) -> None:
 
 
 def digest_of(package: str, *more: str) -> str:
-    """Digest of the contents of a package's sources, without their times, which differ between machines.
-
-    Raises ModuleNotFoundError if there is no such package.
-    """
-    if (spec := find_spec(package)) is None:
-        raise ModuleNotFoundError(f"No module named '{package}'", name=package)
-    folder = Path(next(iter(spec.submodule_search_locations or ())))
+    """Digest of the contents of a package's sources, without their times, which differ between machines."""
+    folder = _PACKAGES / package
     digest = hashlib.sha256(" ".join(more).encode())
     for source in sorted(folder.rglob("*.py")):
         content = source.read_bytes()
