@@ -54,8 +54,6 @@ from kernel.params import (
     Line,
     Start,
     check_arrays,
-    check_window,
-    checked_state,
     checked_states,
     empty_line,
 )
@@ -328,7 +326,7 @@ def _first_states(
     states = np.full((len(starts), len(STATE_FIELDS)), np.nan)
     for number, start in enumerate(starts):
         if start is not None:
-            states[number] = checked_state(start)
+            states[number] = start.state
             first = number * (len(gamma) // len(starts))
             cell.rescale(states[number], start.cell.gamma, start.cell.omega, gamma[first], omega[first])
     return states
@@ -366,7 +364,6 @@ class LineRun:
     ) -> None:  # fmt: skip
         arrays = {"gamma": gamma, "omega": omega, "xi": xi}
         check_arrays(arrays)
-        check_window(settle, observe, keep, micro_flight, settle_until, exponents)
         _check_plate(plate, len(gamma))
         if certify and (exponents or dimension(plate) == 0):
             raise KernelInputError(
@@ -375,7 +372,9 @@ class LineRun:
         self.line = empty_line(len(gamma), keep, exponents)
         self._gamma, self._omega, self._xi = (np.ascontiguousarray(a) for a in arrays.values())
         self._plate, self._length = plate, 1
-        self._states = checked_states(states, len(gamma), carry=carry)
+        self._states = np.empty((0, len(STATE_FIELDS)))
+        if states is not None:
+            self._states = checked_states(states, len(gamma))
         if carry:
             starts = [start] if start is None or isinstance(start, Start) else start
             self._states = _first_states(starts, self._gamma, self._omega)

@@ -7,7 +7,6 @@ Units throughout: phase phi = omega*t in rad, lengths in plate amplitudes A,
 velocities in A per rad of phase, forces in m*A*omega**2.
 """
 
-import math
 from collections.abc import Callable
 from enum import IntEnum
 from typing import Final, NamedTuple
@@ -179,51 +178,8 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
             raise KernelInputError(name, f"must lie within 1e-30 and 1e30, got {array[i]} at index {i}")
 
 
-def check_window(
-    settle: int, observe: int, keep: int, micro_flight: float, settle_until: int | None, exponents: int
-) -> None:  # fmt: skip
-    """Check an observation window, as in `kernel.line.run_line`.
-
-    settle, observe and settle_until are in plate periods, keep in flights, micro_flight in rad, exponents a
-    number.
-    """
-    fewest = settle + observe if is_whole(settle) and is_whole(observe) else 0
-    for name, value, least, most in (
-        ("settle", settle, 0, math.inf),
-        ("observe", observe, 1, math.inf),
-        ("keep", keep, 1, math.inf),
-        ("settle_until", fewest if settle_until is None else settle_until, fewest, math.inf),
-        ("exponents", exponents, 0, MAX_EXPONENTS),
-    ):
-        if not is_whole(value) or not least <= value <= most:
-            raise KernelInputError(name, f"must be an integer from {least} to {most}, got {value!r}")
-    if not 0.0 <= micro_flight < math.inf:
-        raise KernelInputError("micro_flight", f"must be from 0 to inf and finite, got {micro_flight!r}")
-
-
-def is_whole(value: object) -> bool:
-    """Whether this is an integer, and not True or False."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
-
-
-def checked_state(start: Start) -> NDArray[np.float64]:
-    """A copy of the start's state (len(STATE_FIELDS),), checked to be finite and complete."""
-    state = np.array(start.state, dtype=np.float64)
-    if state.shape != (len(STATE_FIELDS),) or not np.all(np.isfinite(state)):
-        raise KernelInputError(
-            "start", f"must hold {len(STATE_FIELDS)} finite numbers: {', '.join(STATE_FIELDS)}"
-        )
-    if not all(np.isfinite(v) and v > 0.0 for v in start.cell[:2]):
-        raise KernelInputError("start", "must name the gamma > 0 and omega > 0 of the cell it comes from")
-    return state
-
-
-def checked_states(states: NDArray[np.float64] | None, n: int, *, carry: bool) -> NDArray[np.float64]:
-    """The states (n, len(STATE_FIELDS)) that n cells start from, checked; without any rows for None."""
-    if states is None:
-        return np.empty((0, len(STATE_FIELDS)))
-    if carry:
-        raise KernelInputError("states", "must be None on a line that carries its state: give `start`")
+def checked_states(states: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """The states (n, len(STATE_FIELDS)) that n cells start from, checked."""
     array = np.ascontiguousarray(states, dtype=np.float64)
     if array.shape != (n, len(STATE_FIELDS)) or not np.all(np.isfinite(array)):
         rule = f"must hold {len(STATE_FIELDS)} finite numbers for each of {n} cells"

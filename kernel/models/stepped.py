@@ -32,9 +32,9 @@ from kernel.models.contact_law import contact_constants, lifted_off, plate_force
 from kernel.numerics.elementary import TWO_PI, sincos
 from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINITE, ROOT
 from kernel.numerics.jit import inlined, jit
-from kernel.params import KernelInputError, check_arrays, is_whole
+from kernel.params import check_arrays
 from kernel.restitution import damping_ratio
-from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
+from kernel.step_limits import MOST_STEPS_PER_PERIOD, steps_per_period
 
 BLOCK: Final = 1024  # steps between two evaluations of the plate's sine; rotations err by 2e-13
 MIN_STEP_FRACTION: Final = 1e-9  # a grid point nearer than this part of a step, which is rounding, is skipped
@@ -197,15 +197,8 @@ def plate(
     KernelInputError.
     """
     check_arrays({"restitution": restitution, "penetration": penetration})
-    names = [s.name.lower() for s in Scheme]
-    if scheme not in names:
-        raise KernelInputError("scheme", f"must be one of {', '.join(names)}, got {scheme!r}")
-    if not is_whole(steps_per_contact) or steps_per_contact < 1:
-        raise KernelInputError("steps_per_contact", f"must be an integer >= 1, got {steps_per_contact!r}")
-    if events not in ("located", "plain"):
-        raise KernelInputError("events", f"must be located or plain, got {events!r}")
     damping = damping_ratio(restitution, adhesive)
-    steps = steps_per_period(restitution, penetration, int(steps_per_contact), adhesive=adhesive)
+    steps = steps_per_period(restitution, penetration, steps_per_contact, adhesive=adhesive)
     return SteppedPlate(
         damping, np.ascontiguousarray(penetration), steps, bool(adhesive),
         0.5 if scheme == "verlet" else 0.0, events == "plain",

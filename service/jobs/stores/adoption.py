@@ -130,7 +130,7 @@ def _possible(array: Array, record: Mapping[str, NDArray[Any]]) -> bool:
     if "state" in array.dims:  # of cells, or of their attractors
         stopped = np.isin(record.get("attractor_outcome", record["outcome"]), _WITHOUT_STATE)
         try:
-            checked_states(values[~stopped], int(np.sum(~stopped)), carry=False)
+            checked_states(values[~stopped], int(np.sum(~stopped)))
         except KernelInputError:
             return False
     if (flags := array.attrs.get("flag_values")) is not None:

@@ -9,7 +9,7 @@ from kernel_runs import Model, run_line
 from tables import for_each
 
 from kernel import line
-from kernel.params import STATE_FIELDS, Cell, KernelInputError, Line, Start
+from kernel.params import Cell, KernelInputError, Line
 
 ONE = np.ones(3)
 
@@ -54,41 +54,11 @@ def test_arrays_of_another_kind_or_shape(name, bad, why):
     assert refused.value.argument == name or (name == "gamma" and refused.value.argument == "omega")
 
 
-@for_each(
-    ("name", "bad"),
-    [
-        ("settle", -1), ("settle", 1.0), ("settle", True), ("settle", None), ("observe", 0), ("keep", 0),
-        ("micro_flight", -1e-9), ("micro_flight", math.nan),
-        ("settle_until", 2), ("settle_until", 10.0), ("exponents", -1), ("exponents", 5),
-    ],
-)  # fmt: skip
-def test_windows_that_cannot_be(name, bad):
-    with pytest.raises(KernelInputError, match=f"^{name}: must be"):
-        call(**{name: bad})
-
-
 @for_each("bad", ["soft", None, Cell(1.0, 1.0, 0.0)])
 def test_plates_of_an_unknown_type(bad):
     with pytest.raises(KernelInputError, match=rf"^plate: .*not a {type(bad).__name__}$") as refused:
         line.run_line(1.5 * ONE, ONE, ONE, plate=bad, carry=False, settle=2, observe=3, keep=4)
     assert refused.value.argument == "plate"
-
-
-STATE = np.zeros(len(STATE_FIELDS))
-
-
-@for_each(
-    ("start", "why"),
-    [
-        (Start(np.zeros(5), Cell(1.0, 1.0, 0.0)), "6 finite numbers: phase, in_flight, gap"),
-        (Start(np.full(6, math.nan), Cell(1.0, 1.0, 0.0)), "6 finite numbers"),
-        (Start(STATE, Cell(0.0, 1.0, 0.0)), "gamma > 0 and omega > 0"),
-        (Start(STATE, Cell(math.nan, 1.0, 0.0)), "gamma > 0 and omega > 0"),
-    ],
-)
-def test_starts_that_cannot_be(start, why):
-    with pytest.raises(KernelInputError, match=f"^start: .*{why}"):
-        call(carry=True, start=start)
 
 
 @for_each("name", ["gamma", "omega", "xi", "penetration"])
