@@ -6,11 +6,10 @@ from pathlib import Path
 from service.jobs.stores.opening import open_ledger
 from service.settings import Settings
 from worker import store
-from worker.store import HasSlices
-from worker.study import Layout
+from worker.study import Chunk, Layout
 
 
-def is_sound(url: str, layout: Layout, chunk: HasSlices) -> bool:
+def is_sound(url: str, layout: Layout, chunk: Chunk) -> bool:
     """Whether a chunk is stored whole."""
     try:
         store.read_chunk(url, chunk, layout.names, complete=True)

@@ -19,7 +19,6 @@ from worker.store.backend import remove as remove
 from worker.store.backend import write_fault as write_fault
 from worker.store.encoding import ArrayForm as ArrayForm
 from worker.store.encoding import forms_in as forms_in
-from worker.store.reader import HasSlices as HasSlices
 from worker.store.reader import read_attrs as read_attrs
 from worker.store.reader import read_chunk as read_chunk
 from worker.store.reader import read_file as read_file

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import product
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreDamaged, StoreMissing, in_bucket
 from worker.store.encoding import ArrayForm, check_file, chunk_key, decode, form_of, same, spans_of
+from worker.study import Chunk
 from worker.study.layout import structured_attributes
 
 OUTCOME: Final = "outcome"
@@ -28,18 +29,6 @@ MOST_PARTS: Final = 0.5
 Index = int | slice
 #: Length of an array, of its chunks and of their inner chunks, along each cell dimension.
 _Sizes = tuple[tuple[int, int, int], ...]
-
-
-class HasSlices(Protocol):
-    """The properties of a chunk that the store needs."""
-
-    @property
-    def slices(self) -> tuple[slice, ...]:
-        """The cells it spans along each cell dimension."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the record's arrays; may omit dimensions of length one."""
 
 
 class _Part(NamedTuple):
@@ -76,7 +65,7 @@ def read_slice(
 
 
 def read_chunk(
-    url: str, chunk: HasSlices, names: Iterable[str], *, complete: bool = False
+    url: str, chunk: Chunk, names: Iterable[str], *, complete: bool = False
 ) -> dict[str, NDArray[Any]]:
     """A block of cells anywhere in the grid, each array of shape chunk.shape + its extra dimensions.
 

@@ -20,8 +20,8 @@ from worker import files
 from worker.store import backend
 from worker.store.backend import ROOT, ChunkCoords, StoreConflict, StoreDamaged, StoreMissing, in_bucket
 from worker.store.encoding import LEVEL, ArrayForm, chunk_key, encode
-from worker.store.reader import OUTCOME, HasSlices, forms_of, read_attrs, root_of
-from worker.study import Array, Layout
+from worker.store.reader import OUTCOME, forms_of, read_attrs, root_of
+from worker.study import Array, Chunk, Layout
 from worker.study.layout import flat_attributes
 
 #: How long a process assumes that a bucket's store still exists, and for how many stores. A store
@@ -119,7 +119,7 @@ def _consolidated(content: Mapping[str, bytes], indent: int | None) -> bytes:
     return json.dumps(root, indent=indent).encode()
 
 
-def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
+def check_chunk(url: str, chunk: Chunk, arrays: Iterable[Array]) -> None:
     """Raise the StoreError that `write_chunk` would raise: missing, damaged, or chunks of another shape.
 
     arrays: the study's stored arrays; a store with others is damaged.
@@ -130,7 +130,7 @@ def check_chunk(url: str, chunk: HasSlices, arrays: Iterable[Array]) -> None:
     _owned_coords(forms, url, chunk)
 
 
-def write_chunk(url: str, chunk: HasSlices, record: Mapping[str, NDArray[Any]]) -> None:
+def write_chunk(url: str, chunk: Chunk, record: Mapping[str, NDArray[Any]]) -> None:
     """Store one chunk of every array.
 
     record: every array of the store by name, in the order of its layout (`outcome` last), each of shape
@@ -165,7 +165,7 @@ def _forms(url: str) -> Mapping[str, ArrayForm]:
     return forms
 
 
-def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) -> ChunkCoords:
+def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: Chunk) -> ChunkCoords:
     """Coordinates of a task's chunk in the grid of chunks. Raises StoreConflict."""
     # Two tasks that write to the same stored chunk would overwrite each other's cells.
     outcome = forms[OUTCOME]
@@ -176,13 +176,13 @@ def _owned_coords(forms: Mapping[str, ArrayForm], url: str, chunk: HasSlices) ->
     return tuple(span.start // size for span, size in zip(chunk.slices, outcome.chunks, strict=True))
 
 
-def _keys_of(layout: Layout, chunk: HasSlices) -> list[str]:
+def _keys_of(layout: Layout, chunk: Chunk) -> list[str]:
     """The keys of a chunk, in the order they are written."""
     coords = layout.coords(chunk.slices)
     return [chunk_key(array.name, len(array.dims), coords) for array in layout.arrays]
 
 
-def keys_of(layout: Layout, chunks: Iterable[HasSlices]) -> list[str]:
+def keys_of(layout: Layout, chunks: Iterable[Chunk]) -> list[str]:
     """The keys of a store with these chunks, the root's metadata last."""
     metadata = [key for key in metadata_of(layout) if key != ROOT]
     return [*metadata, *(key for chunk in chunks for key in _keys_of(layout, chunk)), ROOT]
@@ -195,7 +195,7 @@ def restore(url: str, contents: Mapping[str, bytes], layout: Layout) -> None:
     sync_folders(url, layout)
 
 
-def discard(url: str, layout: Layout, chunk: HasSlices) -> None:
+def discard(url: str, layout: Layout, chunk: Chunk) -> None:
     """Remove a chunk's stored bytes, `outcome` first, so that its cells always read as missing."""
     for key in reversed(_keys_of(layout, chunk)):
         backend.delete(url, key)
