@@ -143,8 +143,8 @@ def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> 
     xi, omega = (np.full(spec.points, point.value) for point in spring.values())
     of_point = [name for name in Branch._fields if name in x]
     branches = [
-        Branch(mode.periods, omega, xi, flights=one, bounces=one, **{name: x[name][i] for name in of_point})
-        for i, mode in enumerate(spec.cycles)
+        Branch(periods, omega, xi, flights=one, bounces=one, **{name: x[name][i] for name in of_point})
+        for i, periods in enumerate(spec.periods)
     ]
     pieces = [piece for branch in branches for piece in below(branch, top)]
     shown = (x["event_kind"] > 0) & (x["event_gamma"] <= top)

@@ -39,5 +39,5 @@ def estimate(spec: OrbitsSpec, plan: Plan) -> Cost:
 def _seconds(spec: OrbitsSpec) -> float:
     """Core-seconds of the whole grid."""
     omega = spec.axis_values("omega")
-    squares = sum(float((grid_points(omega, k) ** 2).sum()) for _, k in spec.cycles)
+    squares = sum(float((grid_points(omega, k) ** 2).sum()) for k in spec.periods)
     return SECONDS * squares * spec.shape[0]

@@ -7,7 +7,7 @@ restitution. A cell is a spring, one (xi, omega). Its branches have the same num
 import math
 import re
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Final, Literal, NamedTuple, Self
+from typing import Annotated, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,32 +34,22 @@ DIMS: Final = ("xi", "omega")
 _MODE: Final = re.compile(r"([1-9][0-9]{0,3})-([1-9][0-9]{0,3})")
 
 
-class Mode(NamedTuple):
-    """A cycle's bounces and plate periods, written as `1-2`."""
-
-    bounces: int
-    periods: int
-
-    def __str__(self) -> str:
-        return f"{self.bounces}-{self.periods}"
-
-
-def read_mode(text: str) -> Mode:
-    """Parse a mode of one bounce. Raises BrokenRuleError."""
+def read_mode(text: str) -> int:
+    """The plate periods of a mode of one bounce, which is written as `1-2`. Raises BrokenRuleError."""
     match = _MODE.fullmatch(text)
     if match is None:
         raise BrokenRuleError("", f"must be like 1-2 (bounces-periods), not {describe(text)}")
-    mode = Mode(int(match[1]), int(match[2]))
-    if mode.bounces != 1:
+    if match[1] != "1":
         rule = "must have one bounce, as 1-1 or 1-2: other modes are found from the cells of a sweep"
-        raise BrokenRuleError("", f"{rule}, not {mode}")
-    if mode.periods > MAX_PERIODS:
-        raise BrokenRuleError("", f"must have at most {MAX_PERIODS} periods, not {mode.periods}")
-    return mode
+        raise BrokenRuleError("", f"{rule}, not {text}")
+    periods = int(match[2])
+    if periods > MAX_PERIODS:
+        raise BrokenRuleError("", f"must have at most {MAX_PERIODS} periods, not {periods}")
+    return periods
 
 
-def check_modes(modes: Sequence[Mode]) -> None:
-    """Raise BrokenRuleError for too many or repeated modes."""
+def check_modes(modes: Sequence[int]) -> None:
+    """Raise BrokenRuleError for too many or repeated modes, given by their plate periods."""
     if len(set(modes)) < len(modes):
         raise BrokenRuleError("", "must not name a mode twice")
     if not 1 <= len(modes) <= MAX_MODES:
@@ -81,7 +71,7 @@ def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 Modes = Annotated[
-    tuple[Annotated[str, AfterValidator(lambda name: str(read_mode(name)))], ...],
+    tuple[Annotated[str, AfterValidator(lambda name: f"1-{read_mode(name)}")], ...],
     BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
     AfterValidator(_modes),
 ]
@@ -113,7 +103,7 @@ class OrbitsSpec(Specification):
 
     @model_validator(mode="after")
     def _rules(self) -> Self:
-        longest = max(mode.periods for mode in self.cycles)
+        longest = max(self.periods)
         lowest = self.axis_values("omega")[:1]
         if grid_points(lowest, longest)[0] > MAX_GRID:
             rate = MAX_GRID * 0.2 / (2.0 * math.pi * longest) - 1.0
@@ -123,6 +113,6 @@ class OrbitsSpec(Specification):
         return self
 
     @property
-    def cycles(self) -> tuple[Mode, ...]:
-        """The modes, in the order of the dimension `branch`."""
+    def periods(self) -> tuple[int, ...]:
+        """The plate periods of the modes, in the order of the dimension `branch`."""
         return tuple(read_mode(name) for name in self.modes)

@@ -35,8 +35,8 @@ def _compute(spec: OrbitsSpec, omega: float, xi: float, cell: dict[str, NDArray[
     """Fill in one cell: arrays (1, ...) of a record."""
     parts: list[Events] = []
     try:
-        for row, mode in enumerate(spec.cycles):
-            branch, events = branch_and_events(omega, xi, mode.periods, max(GRID, spec.points))
+        for row, periods in enumerate(spec.periods):
+            branch, events = branch_and_events(omega, xi, periods, max(GRID, spec.points))
             _put_branch(branch, row, spec, cell)
             parts.append(rows_of(events, events.gamma <= spec.gamma_max))
     except KernelInputError:  # an undamped spring at resonance

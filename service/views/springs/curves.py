@@ -85,9 +85,9 @@ def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
     along, fixed, span = _plane(query)
     kinds, contact, modes = _kinds(query), query.contact(), parse_modes(query.modes)
     if contact is None:
-        return [(curves, along, fixed, *span, mode.periods, kinds) for mode in modes]
+        return [(curves, along, fixed, *span, periods, kinds) for periods in modes]
     top = query.gamma_max
-    return [(follow_curves, contact, along, fixed, span, mode.periods, kinds, top) for mode in modes]
+    return [(follow_curves, contact, along, fixed, span, periods, kinds, top) for periods in modes]
 
 
 def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
@@ -119,7 +119,7 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     contact = query.contact()
     modes = parse_modes(query.modes)
     springs = [(value, fixed) if along is Parameter.OMEGA else (fixed, value) for value in span]
-    lengths = [[grid_length(*spring, mode.periods) for spring in springs] for mode in modes]
+    lengths = [[grid_length(*spring, periods) for spring in springs] for periods in modes]
     omega, _ = springs[0]
     closed_form = [_SECONDS * at_start for at_start, _ in lengths]
     followed = [] if contact is None else [curves_seconds(contact)] * len(modes)

@@ -114,7 +114,7 @@ def _seconds(query: OrbitsQuery) -> float:
 
 def _grids(query: OrbitsQuery) -> list[tuple[float, float, int, int]]:
     """Spring, plate periods and points of each branch."""
-    return [(query.omega, query.xi, mode.periods, query.points) for mode in parse_modes(query.modes)]
+    return [(query.omega, query.xi, periods, query.points) for periods in parse_modes(query.modes)]
 
 
 def compute(

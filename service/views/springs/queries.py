@@ -9,7 +9,7 @@ from kernel.cycles.events import flight_times
 from kernel.params import KernelInputError
 from service.errors import InvalidRequest
 from service.views.view import Number, Query
-from worker.orbits.specification import MAX_GRID, Mode, check_modes, read_mode
+from worker.orbits.specification import MAX_GRID, check_modes, read_mode
 from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, ContactFields, Rigid, Soft
 from worker.spec.errors import BrokenRuleError, SpecInvalid
 
@@ -64,8 +64,8 @@ def _text(name: str, value: object) -> str:
     return f"{name.replace('_', ' ')} {value:g}" if isinstance(value, int | float) else str(value)
 
 
-def parse_modes(text: str) -> tuple[Mode, ...]:
-    """Modes of one bounce, written as bounces and plate periods: `1-1,1-2`. Raises InvalidRequest."""
+def parse_modes(text: str) -> tuple[int, ...]:
+    """The plate periods of modes of one bounce, written as `1-1,1-2`. Raises InvalidRequest."""
     try:
         modes = [read_mode(part.strip()) for part in text.split(",")]
         check_modes(modes)
