@@ -26,7 +26,7 @@ from worker.kernel_cache import use_cache
 gc.set_threshold(50_000, 50)
 
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE)  # of the processes that tests start, too
-use_cache(CACHE)
+use_cache()
 
 for name in [name for name in os.environ if name.startswith("BOUNCE_")]:
     if not name.startswith(("BOUNCE_TEST_", "BOUNCE_FUZZ")):
@@ -116,7 +116,7 @@ def cluster() -> Iterator[Any]:
     """A Dask executor on two worker processes, shared by all tests: leave it running."""
     from worker.executors.dask import Dask  # not needed where xdist hands out tests
 
-    executor = Dask(workers=2, kernel_cache=CACHE)
+    executor = Dask(workers=2)
     yield executor
     executor.close()
 

@@ -1,8 +1,8 @@
 """Where compiled kernels are kept: ROOT/DIGEST, shared by all processes of this user.
 
-DIGEST identifies the kernel's sources and the compiler. ROOT is the argument of `use_cache`, else
-`NUMBA_CACHE_DIR`, else `bouncing-spring` in the user's cache folder. Anyone who can write to ROOT decides
-what code runs here, so it is created for this user alone and refused if others own it or can write to it.
+DIGEST identifies the kernel's sources and the compiler. ROOT is `NUMBA_CACHE_DIR`, or else `bouncing-spring`
+in the user's cache folder. Anyone who can write to ROOT decides what code runs here, so it is created for
+this user alone and refused if others own it or can write to it.
 
 `python -m worker.kernel_cache` compiles every kernel into the default cache.
 """
@@ -38,13 +38,13 @@ class CacheRefused(Exception):
 _chosen: list[Path] = []
 
 
-def use_cache(root: str | Path | None = None) -> Path:
+def use_cache() -> Path:
     """Make this process use the cache of compiled kernels, and return its folder.
 
     Later calls return the same folder. Raises CacheRefused.
     """
     if not _chosen:
-        folder = _cache_folder(Path(root) if root else default_root())
+        folder = _cache_folder(default_root())
         from kernel.numerics import cache, jit  # noqa: PLC0415 - imports numba
 
         if not jit.PLAIN:
@@ -54,7 +54,7 @@ def use_cache(root: str | Path | None = None) -> Path:
 
 
 def default_root() -> Path:
-    """The default of ROOT."""
+    """ROOT."""
     if configured := os.environ.get(_VARIABLE):
         return Path(configured)
     if caches := os.environ.get("XDG_CACHE_HOME"):

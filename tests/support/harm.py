@@ -15,7 +15,6 @@ from typing import Any
 
 import dask
 from distributed import Worker, WorkerPlugin
-from paths import CACHE
 from scripted import wait_for
 
 from worker import watchdog
@@ -126,9 +125,9 @@ MEMORY = 600 << 20
 @contextmanager
 def fragile_cluster() -> Iterator[Dask]:
     """An executor on two workers that fail as a sweep's name says."""
-    use_cache(CACHE)
+    use_cache()
     with dask.config.set({"distributed.worker.memory.terminate": False}):  # the watchdog is under test
-        executor = Dask(workers=2, kernel_cache=CACHE, memory=MEMORY)
+        executor = Dask(workers=2, memory=MEMORY)
     executor._connection.client.register_plugin(Harm())
     try:
         yield executor

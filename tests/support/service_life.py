@@ -1,4 +1,4 @@
-"""A service without HTTP in a process that a test kills: `python service_life.py FOLDER SPEC CACHE`.
+"""A service without HTTP in a process that a test kills: `python service_life.py FOLDER SPEC`.
 
 Forks a child for every run of the service, so that kernels are loaded once. Reads lines of JSON from
 standard input: `[STEP, TIMES, SECONDS]` starts a run that kills itself the TIMES-th time it reaches STEP
@@ -18,7 +18,7 @@ from typing import Any
 
 from worker.kernel_cache import use_cache
 
-use_cache(sys.argv[3])
+use_cache()
 
 from service.jobs import supervisor  # noqa: E402 - the cache comes first
 from service.jobs.manager import JobManager  # noqa: E402

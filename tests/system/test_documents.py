@@ -10,7 +10,7 @@ import pytest
 import yaml
 from documents import DOCUMENTS, LONG, Block, Failed, Session, blocks, run_in_order, runnable, text
 from extras import LINT, program
-from paths import CACHE, ROOT
+from paths import ROOT
 
 from worker.kernel_cache import use_cache
 
@@ -25,7 +25,7 @@ ALL_BLOCKS = tuple(block for name in DOCUMENTS for block in blocks(name))
 @pytest.fixture(scope="module")
 def compiled_kernels() -> None:
     """Compile the kernels first: otherwise the time to compile counts as time to start the service."""
-    use_cache(CACHE)
+    use_cache()
 
 
 @pytest.mark.usefixtures("compiled_kernels")

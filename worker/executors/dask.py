@@ -105,7 +105,6 @@ class Dask:
         security: Any = None,
         workers: int = 2,
         memory: int | None = None,
-        kernel_cache: str | Path | None = None,
         stores: tuple[str, str] | None = None,
         timeout: float = 30.0,
     ) -> None:
@@ -122,10 +121,9 @@ class Dask:
             self._target = SchedulerFile(Path(scheduler_file), timeout)
         else:
             self._target = address if isinstance(address, CreatedCluster) else Target(address)
-        cache = str(kernel_cache) if kernel_cache else None
         with ExitStack() as stack:
             stack.callback(self._target.close)
-            plugin = WorkerAdmission(facts(), None if is_own else stores, cache)
+            plugin = WorkerAdmission(facts(), None if is_own else stores)
             self._release = plugin.release
             self._connection = SchedulerConnection(
                 self._target, plugin, self._on_event, self._on_lost, security=security, timeout=timeout

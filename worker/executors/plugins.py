@@ -55,22 +55,19 @@ class WorkerAdmission(WorkerPlugin):
     """Admits or refuses every worker that starts or joins, and ends its process quickly.
 
     A worker must have the `facts` of the service (its own `facts()`), and see the mark of the `stores`: their
-    address and the mark's content. `cache`: the folder of the kernel caches; None: that of
-    `worker.kernel_cache`. A refused worker stays without tasks until it meets the requirements.
+    address and the mark's content. A refused worker stays without tasks until it meets the requirements.
     """
 
     name = "bouncing-spring-kernels"
 
-    def __init__(
-        self, facts: Mapping[str, str], stores: tuple[str, str] | None = None, cache: str | None = None
-    ) -> None:
-        self._facts, self._stores, self._cache = facts, stores, cache
+    def __init__(self, facts: Mapping[str, str], stores: tuple[str, str] | None = None) -> None:
+        self._facts, self._stores = facts, stores
         self.release = release_of(facts)
         self.refusal = NOT_JUDGED  # why the worker is refused
         self._removed = False
 
     def __reduce__(self) -> Any:
-        return _from_source(type(self), self._facts, self._stores, self._cache)
+        return _from_source(type(self), self._facts, self._stores)
 
     async def setup(self, worker: Any) -> None:
         """Called by distributed in the worker's process."""
@@ -125,7 +122,7 @@ class WorkerAdmission(WorkerPlugin):
             if not wrong:
                 from worker.kernel_cache import use_cache  # noqa: PLC0415 - see above
 
-                use_cache(self._cache)
+                use_cache()
                 importlib.import_module("worker.work")
         except Exception as error:  # noqa: BLE001 - any error means that it cannot compute
             wrong = [f"it cannot load the kernel: {one_line(error)}"]

@@ -83,7 +83,7 @@ class Recipe(Remote):
 
 @pytest.fixture
 def recipe(tmp_path: Path) -> Iterator[Recipe]:
-    use_cache(CACHE)
+    use_cache()
     recipe = Recipe(tmp_path)
     with recipe.started("dask-gateway-server"):
 

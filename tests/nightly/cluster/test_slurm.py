@@ -190,7 +190,7 @@ PATIENCE = 1500.0
 
 @pytest.fixture(scope="module")
 def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
-    use_cache(CACHE)
+    use_cache()
     with (
         slurm_running(tmp_path_factory.mktemp("slurm") / "files") as queue,
         pytest.MonkeyPatch.context() as patch,

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from blame import blamed, noting_errors
 from dask_processes import dask_processes
-from paths import CACHE
 from scripted import wait_for
 from served import running
 
@@ -23,7 +22,7 @@ LIFETIME, STARTS = 5.0, 3.0
 
 @pytest.mark.timeout(700)
 def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    use_cache(CACHE)
+    use_cache()
     errors = noting_errors(monkeypatch)  # of all its chunks
     with (
         dask_processes(tmp_path / "dask") as processes,

@@ -35,7 +35,7 @@ FREEZE = float(os.environ.get("BOUNCE_TEST_FREEZE", "6"))
 
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[Restarted, str]]:
-    use_cache(CACHE)
+    use_cache()
     cluster = Cluster(tmp_path, free_port(), {"NUMBA_CACHE_DIR": str(CACHE), "PYTHONPATH": str(ROOT)})
     yield cluster.scheduler, cluster.address
     cluster.end()

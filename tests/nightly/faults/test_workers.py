@@ -30,9 +30,10 @@ def fragile() -> Iterator[Dask]:
 BOUNCING = {"start": 2.0, "stop": 5.0, "num": 16_000}
 
 
-def test_cancelling_does_not_wait_for_compilation(tmp_path: Path):
+def test_cancelling_does_not_wait_for_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The kernel of exponents is not compiled at the start of a worker, and takes many seconds."""
-    with closing(Dask(workers=1, kernel_cache=tmp_path / "cache", memory=2 << 30)) as executor:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    with closing(Dask(workers=1, memory=2 << 30)) as executor:
         wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
         worker = pids(executor, 1)
         with running(tmp_path, executor) as service:

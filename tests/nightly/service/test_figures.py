@@ -19,15 +19,13 @@ import pytest
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[2] / "support"), str(Path(__file__).parents[3])]
 
-    from paths import CACHE
-
     from worker.kernel_cache import use_cache
 
-    use_cache(CACHE)  # before kernels are declared below
+    use_cache()  # before kernels are declared below
 
 from artists import difference
 from drawn_figures import DRAWN, SMALL, SMALL_FIGURES, Pictures
-from paths import CACHE, ROOT
+from paths import ROOT
 from PIL import Image
 from served import service_at
 
@@ -88,7 +86,7 @@ def write() -> None:
     """Write what each figure draws and says, as it is now."""
     with (
         tempfile.TemporaryDirectory() as folder,
-        closing(Dask(workers=2, kernel_cache=CACHE)) as executor,
+        closing(Dask(workers=2)) as executor,
         service_at(Path(folder), executor) as url,
         Client(url) as client,
     ):

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from paths import CACHE, ROOT
+from paths import ROOT
 
 from kernel.params import Outcome
 from worker import store
@@ -33,7 +33,7 @@ def computed(spec: SweepSpec, url: Path) -> tuple[dict[str, np.ndarray], float]:
 
 
 def test_the_example_has_the_shares_of_the_whole_grid_in_half_of_its_time(tmp_path: Path):
-    use_cache(CACHE)
+    use_cache()
     [text] = EXAMPLE.findall((ROOT / "docs" / "specification.md").read_text())
     fields = json.loads(text)
     found, seconds = computed(SweepSpec.parse(fields), tmp_path / "map.zarr")

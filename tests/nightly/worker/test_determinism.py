@@ -1,14 +1,14 @@
 """Compiled code from the cache computes what code just compiled does."""
 
+import os
 import subprocess
 import sys
 
 from paths import ROOT
 
 KERNEL = """
-import sys
 from worker.kernel_cache import use_cache
-print(use_cache(sys.argv[1]))
+print(use_cache())
 import hashlib
 import numpy as np
 from kernel.line import run_line
@@ -24,7 +24,11 @@ def test_code_from_the_cache_computes_what_code_just_compiled_does(tmp_path):
     """One worker compiles, another loads compiled code: both may compute parts of one job."""
     digests = [
         subprocess.run(
-            [sys.executable, "-c", KERNEL, str(tmp_path)], stdout=subprocess.PIPE, cwd=ROOT, check=True
+            [sys.executable, "-c", KERNEL],
+            stdout=subprocess.PIPE,
+            cwd=ROOT,
+            check=True,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
         ).stdout
         for _ in range(2)
     ]

@@ -9,7 +9,6 @@ import psutil
 import pytest
 from blame import blamed, noting_errors
 from dask_processes import Processes, dask_processes, family
-from paths import CACHE
 from scripted import costing, wait_for
 from served import Running, running
 
@@ -24,7 +23,7 @@ PATIENCE = 240.0
 @pytest.fixture
 def errors(monkeypatch: pytest.MonkeyPatch) -> list[BaseException]:
     """What chunks came back with, of all jobs of the test."""
-    use_cache(CACHE)
+    use_cache()
     return noting_errors(monkeypatch)
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from paths import CACHE, ROOT
+from paths import ROOT
 from scripted import DEADLINE, wait_for
 from served import Serving, serving
 from stores import files, is_sound, store_in
@@ -60,7 +60,7 @@ class Lives:
         (folder / "spec.json").write_text(json.dumps(SWEEP))
         command = [sys.executable, str(ROOT / "tests" / "support" / "service_life.py")]
         self._process = subprocess.Popen(
-            [*command, str(self.folder), str(folder / "spec.json"), str(CACHE)],
+            [*command, str(self.folder), str(folder / "spec.json")],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             cwd=ROOT,

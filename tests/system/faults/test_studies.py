@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from harm import pids
-from paths import CACHE
 from scripted import Few, wait_for
 from served import Running, running
 from studies import STUDIES
@@ -27,8 +26,8 @@ PATIENCE = 180.0
 @pytest.fixture(scope="module")
 def workers() -> Iterator[Dask]:
     """Two worker processes of this module, which it kills."""
-    use_cache(CACHE)
-    executor = Dask(workers=2, kernel_cache=CACHE)
+    use_cache()
+    executor = Dask(workers=2)
     yield executor
     executor.close()
 

@@ -4,7 +4,6 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from paths import CACHE
 from scripted import wait_for
 from served import FIGURE_2, computing, finished, get, service
 from stores import files, store_in
@@ -19,7 +18,7 @@ AUTO = FIGURE_2 | {"model": {"kind": "auto", "tolerance": 1e-3, "restitution": 0
 def test_the_same_sweep_gives_the_same_bytes_on_a_cluster(tmp_path: Path):
     """The cluster ends with it: idle workers compile what other tests may never need."""
     with (
-        closing(Dask(workers=2, kernel_cache=CACHE)) as cluster,
+        closing(Dask(workers=2)) as cluster,
         computing(tmp_path / "inline") as here,
         service(tmp_path / "cluster", cluster) as there,
     ):

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from paths import CACHE, ROOT
+from paths import ROOT
 
 from service.ledger.ledger import Ledger
 
@@ -68,7 +68,7 @@ def test_showing_help_loads_no_library_but_clicks():
 
 def test_what_proves_is_loaded_by_proofs_only():
     answers = (
-        f"from worker.kernel_cache import use_cache; use_cache({str(CACHE)!r})\n"
+        "from worker.kernel_cache import use_cache; use_cache()\n"
         "from service.views.registry import SPRINGS\n"
         "for view in ('threshold', 'orbits'):\n"
         "    SPRINGS[view].compute(None, SPRINGS[view].query(omega=0.6, xi=0.05))\n"

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 from dask_processes import LOOPBACK, dask_processes
 from distributed import Security
-from paths import CACHE
 from scripted import costing, wait_for
 from served import running
 from stores import marked
@@ -43,7 +42,7 @@ def options(files: dict[str, Path]) -> list[str]:
 
 @pytest.mark.timeout(600)
 def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
-    use_cache(CACHE)
+    use_cache()
     files = certificates(tmp_path)
     written = tmp_path / "scheduler.json"
     with dask_processes(tmp_path / "dask") as processes:

@@ -14,7 +14,7 @@ import pytest
 from blame import noting_errors
 from dask_processes import Processes, dask_processes
 from distributed import Client
-from paths import CACHE, ROOT
+from paths import ROOT
 from scripted import costing, wait_for
 from served import running
 from stores import marked
@@ -105,7 +105,7 @@ def without_the_folder(processes: Processes, folder: Path) -> None:
 
 @pytest.fixture
 def processes(tmp_path: Path) -> Iterator[Processes]:
-    use_cache(CACHE)
+    use_cache()
     with dask_processes(tmp_path / "dask") as processes:
         yield processes
 
@@ -198,10 +198,13 @@ def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, proce
         wait_for(lambda: executor.workers() == 1 and not executor.state().refused, seconds=PATIENCE)
 
 
-def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(tmp_path: Path):
+def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """No others will join. Here their cache is open to all users."""
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache").chmod(0o777)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
 
     def running() -> set[object]:
         """Worker processes, and threads that keep a connection."""
@@ -217,7 +220,7 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
         ClusterLost,
         match=r"^no worker can compute: it cannot load the kernel: CacheRefused: the kernel cache",
     ):
-        Dask(workers=1, kernel_cache=tmp_path / "cache")
+        Dask(workers=1)
     wait_for(lambda: running() <= before)
 
 
@@ -228,7 +231,7 @@ def test_a_worker_that_a_service_of_another_release_admits_computes_nothing(
     with closing(Dask(processes.address)) as executor, Client(processes.address) as other:
         wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
         [theirs] = other.run(facts).values()
-        other.register_plugin(WorkerAdmission(theirs, cache=str(tmp_path)))
+        other.register_plugin(WorkerAdmission(theirs))
         with pytest.raises(ClusterLost, match="a service of another release admits it"):
             executor.call(divmod, 17, 5).result(PATIENCE)
         wait_for(lambda: "another release" in "".join(executor.state().refused), processes.log)

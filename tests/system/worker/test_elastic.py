@@ -9,7 +9,6 @@ from pathlib import Path
 import dask
 import pytest
 from distributed import LocalCluster
-from paths import CACHE
 from scripted import costing, wait_for
 from served import running
 
@@ -36,7 +35,7 @@ def local_cluster(workers: int) -> LocalCluster:
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[LocalCluster]]:
     """Clusters that a test makes; closed at its end. New ones and new workers are asked for sooner."""
-    use_cache(CACHE)
+    use_cache()
     monkeypatch.setattr(clusters, "MAKE_SECONDS", 1.0)
     monkeypatch.setattr(clusters, "REFILL_SECONDS", 1.0)
     made: list[LocalCluster] = []
@@ -51,7 +50,7 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
 ):
     made.append(local_cluster(0))
     made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="1 s")
-    with closing(Dask(made[0], kernel_cache=CACHE)) as executor:
+    with closing(Dask(made[0])) as executor:
         wait_for(lambda: executor.state().connected)
         assert executor.workers() == 0
         with running(tmp_path, executor) as service:
@@ -75,7 +74,7 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
 
     faults = set()
     with (
-        closing(Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)) as executor,
+        closing(Dask(CreatedCluster(make, "mine:cluster"))) as executor,
         running(tmp_path, executor) as service,
     ):
 
@@ -109,7 +108,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
         sent.set()
         await asyncio.Event().wait()
 
-    with closing(Dask(CreatedCluster(make, "mine:cluster"), kernel_cache=CACHE)) as executor:
+    with closing(Dask(CreatedCluster(make, "mine:cluster"))) as executor:
         with monkeypatch.context() as patched:
             patched.setattr(executor, "_run", swallowed)
             call = executor.call(len, "abc")
@@ -124,7 +123,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
 def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
     with dask.config.set({"distributed.deploy.lost-worker-timeout": "100 ms"}):
         made.append(local_cluster(2))
-        with closing(Dask(CreatedCluster(lambda: made[0], "mine:cluster"), kernel_cache=CACHE)) as executor:
+        with closing(Dask(CreatedCluster(lambda: made[0], "mine:cluster"))) as executor:
             lost = next(iter(made[0].workers.values()))
             address = lost.worker_address
             made[0].sync(lost.close)

@@ -14,7 +14,6 @@ import psutil
 import pytest
 from distributed import LocalCluster, Security
 from harm import Stuck
-from paths import CACHE
 from scripted import DEADLINE, wait_for
 
 from worker.executors.base import ClusterLost
@@ -99,7 +98,7 @@ def test_a_worker_computes_on_when_its_kernels_take_most_of_its_memory():
         used = dask_worker.monitor.get_process_memory()
         dask_worker.memory_manager.memory_limit = int(used / 0.85)
 
-    with closing(Dask(workers=1, kernel_cache=CACHE)) as executor:
+    with closing(Dask(workers=1)) as executor:
         executor._connection.client.run(fill)
         time.sleep(1.0)  # a worker looks at its memory ten times a second
         assert executor.call(len, "abc").result(PATIENCE) == 3

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 from chunks import planned
 from harm import leave
-from paths import CACHE
 from scripted import costing, wait_for
 from served import running
 
@@ -32,8 +31,8 @@ def break_disk() -> None:
 
 
 def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    use_cache(CACHE)
-    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
+    use_cache()
+    with closing(Dask(workers=2)) as executor:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         client = executor._connection.client
         bad = sorted(client.scheduler_info()["workers"])[0]
@@ -49,8 +48,8 @@ def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
-    use_cache(CACHE)
-    with closing(Dask(workers=2, kernel_cache=CACHE)) as executor:
+    use_cache()
+    with closing(Dask(workers=2)) as executor:
         wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
         first, second = sorted(executor._connection.client.scheduler_info()["workers"])
         spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")

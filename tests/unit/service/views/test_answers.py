@@ -23,11 +23,9 @@ from json_results import from_json
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[3] / "support"), str(Path(__file__).parents[4])]
 
-    from paths import CACHE
-
     from worker.kernel_cache import use_cache
 
-    use_cache(CACHE)  # before kernels are declared below
+    use_cache()  # before kernels are declared below
 
 from paths import GOLDEN, ROOT
 from scripted import wait_for
