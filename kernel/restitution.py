@@ -14,6 +14,7 @@ digits on every machine: array functions apply it to every element, and `soft` c
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -81,43 +82,30 @@ def strong_damping_ratio(e: float, zeta: float) -> float:
     return 0.5 * exp(-0.5 * r) / math.sqrt(e)
 
 
-def _duration(zeta: float, adhesive: bool) -> float:
-    if not adhesive:
-        return nonadhesive_duration(zeta)
-    return math.pi / math.sqrt((1.0 - zeta) * (1.0 + zeta)) if zeta < 1.0 else math.inf
+def _adhesive_duration(zeta: float) -> float:
+    """Duration of an adhesive impact in units of d rad (Eq. 11), for zeta < 1: at 1 it never ends."""
+    return math.pi / math.sqrt((1.0 - zeta) * (1.0 + zeta))
 
 
-def _restitution(zeta: float, adhesive: bool) -> float:
-    return exp(-zeta * _duration(zeta, adhesive)) if zeta > 0.0 else 1.0
+def _nonadhesive_restitution(zeta: float) -> float:
+    """Restitution in [0, 1] of a nonadhesive impact (Eq. 12), for zeta >= 0."""
+    return exp(-zeta * nonadhesive_duration(zeta))
 
 
 # --- arrays ---------------------------------------------------------------------------------
 
 
-def _each(formula: Callable[[float, bool], float], values: ArrayLike, adhesive: bool) -> _Array:
+def _each(formula: Callable[[float], float], values: ArrayLike) -> _Array:
     """The formula of every element, computed once for each distinct value: in a sweep most are equal."""
     array = np.asarray(values, dtype=np.float64)
     distinct, places = np.unique(array, return_inverse=True)
-    computed = np.array([formula(float(value), adhesive) for value in distinct], dtype=np.float64)
+    computed = np.array([formula(float(value)) for value in distinct], dtype=np.float64)
     return computed[places].reshape(array.shape)
-
-
-def duration(zeta: ArrayLike, adhesive: bool) -> _Array:
-    """Duration of an isolated impact in units of d rad (Eq. 11), of the shape of zeta >= 0.
-
-    Infinite for an adhesive contact with zeta >= 1, which never ends.
-    """
-    return _each(_duration, zeta, adhesive)
-
-
-def restitution(zeta: ArrayLike, adhesive: bool) -> _Array:
-    """Restitution e = exp(-zeta * duration) in [0, 1] (Eq. 12), of the shape of zeta >= 0."""
-    return _each(_restitution, zeta, adhesive)
 
 
 def damping_ratio(e: ArrayLike, adhesive: bool) -> _Array:
     """`scalar_damping_ratio` of restitutions e in [0, 1], of their shape."""
-    return _each(scalar_damping_ratio, e, adhesive)
+    return _each(partial(scalar_damping_ratio, adhesive=adhesive), e)
 
 
 def contact_time(e: ArrayLike, penetration: ArrayLike, adhesive: bool) -> _Array:
@@ -127,7 +115,8 @@ def contact_time(e: ArrayLike, penetration: ArrayLike, adhesive: bool) -> _Array
     whose duration grows like -d log(e) as e -> 0; e below SMALLEST is taken as SMALLEST under either law.
     """
     e = np.maximum(np.asarray(e, dtype=np.float64), SMALLEST)
-    return np.asarray(penetration, dtype=np.float64) * duration(damping_ratio(e, adhesive), adhesive)
+    duration = _each(_adhesive_duration if adhesive else nonadhesive_duration, damping_ratio(e, adhesive))
+    return np.asarray(penetration, dtype=np.float64) * duration
 
 
 def restitution_of(xi: ArrayLike) -> _Array:
@@ -135,4 +124,4 @@ def restitution_of(xi: ArrayLike) -> _Array:
 
     Half that of a nonadhesive impact at zeta = xi (docs/model.md, section 5; the paper leaves f open).
     """
-    return 0.5 * restitution(xi, adhesive=False)
+    return 0.5 * _each(_nonadhesive_restitution, xi)
