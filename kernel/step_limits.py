@@ -16,8 +16,7 @@ as matrices, and no longer: where these turn singular, s = -1 solves the first e
 grow with kappa and beta, so the contact's limit is the tighter one and holds in flight too.
 """
 
-from enum import IntEnum
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,11 +33,9 @@ _Array = NDArray[np.float64]
 _hypot: Final = np.vectorize(hypot, otypes=[np.float64])  # numpy's own depends on the machine
 
 
-class Scheme(IntEnum):
-    """The integration scheme."""
-
-    VERLET = 0  # velocity Verlet, second order; a step's second half uses the velocity at its end
-    EULER = 1  # semi-implicit Euler, first order
+#: Velocity Verlet, of second order, a step's second half using the velocity at its end; and semi-implicit
+#: Euler, of first order.
+Scheme = Literal["verlet", "euler"]
 
 
 def _largest_eigenvalue(spring: _Array, contact: _Array) -> _Array:
@@ -48,7 +45,7 @@ def _largest_eigenvalue(spring: _Array, contact: _Array) -> _Array:
 
 def largest_stable_step(
     omega: ArrayLike, xi: ArrayLike, restitution: ArrayLike, penetration: ArrayLike, *,
-    adhesive: bool = True, scheme: Scheme = Scheme.VERLET,
+    adhesive: bool = True, scheme: Scheme = "verlet",
 ) -> _Array:  # fmt: skip
     """The step (rad) below which the scheme is stable in contact and in flight, and above which it is not.
 
@@ -60,7 +57,7 @@ def largest_stable_step(
     )
     w, kappa = 1.0 / omega**2, 1.0 / d**2
     verlet = 2.0 / np.sqrt(_largest_eigenvalue(w, kappa))
-    if scheme == Scheme.VERLET:
+    if scheme == "verlet":
         return np.asarray(verlet)
     b, beta = 2.0 * xi / omega, 2.0 * damping_ratio(e, adhesive) / d
     low, high = np.zeros_like(verlet), verlet
@@ -84,7 +81,7 @@ def steps_per_period(
 
 def stable_steps_per_contact(
     omega: ArrayLike, xi: ArrayLike, restitution: ArrayLike, penetration: ArrayLike, *,
-    adhesive: bool = True, scheme: Scheme = Scheme.VERLET,
+    adhesive: bool = True, scheme: Scheme = "verlet",
 ) -> NDArray[np.int64]:  # fmt: skip
     """The fewest `steps_per_contact` that are stable; the positional arguments broadcast together."""
     longest = largest_stable_step(omega, xi, restitution, penetration, adhesive=adhesive, scheme=scheme)

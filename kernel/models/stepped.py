@@ -34,7 +34,7 @@ from kernel.numerics.first_root import BUDGET_EXHAUSTED, EPS, HORIZON, NON_FINIT
 from kernel.numerics.jit import inlined, jit
 from kernel.params import check_arrays
 from kernel.restitution import damping_ratio
-from kernel.step_limits import MOST_STEPS_PER_PERIOD, steps_per_period
+from kernel.step_limits import MOST_STEPS_PER_PERIOD, Scheme, steps_per_period
 
 BLOCK: Final = 1024  # steps between two evaluations of the plate's sine; rotations err by 2e-13
 MIN_STEP_FRACTION: Final = 1e-9  # a grid point nearer than this part of a step, which is rounding, is skipped
@@ -189,7 +189,7 @@ def previous_point(grid: Grid, m: March) -> State:
 
 def plate(
     *, restitution: NDArray[np.float64], penetration: NDArray[np.float64], adhesive: bool,
-    steps_per_contact: int, scheme: str, events: str = "located",
+    steps_per_contact: int, scheme: Scheme, events: str = "located",
 ) -> SteppedPlate:  # fmt: skip
     """The plate under n cells; restitution (n,) in [0, 1], penetration (n,) > 0 in plate amplitudes.
 

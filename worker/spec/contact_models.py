@@ -27,7 +27,7 @@ from kernel.params import (
     USUAL_EVALUATIONS,
 )
 from kernel.restitution import restitution_of as spring_restitution
-from kernel.step_limits import steps_per_period
+from kernel.step_limits import Scheme, steps_per_period
 from worker.spec.axes import NUMBER, WHOLE, Strict, check_kind, kind_of
 from worker.spec.errors import BrokenRuleError
 
@@ -207,7 +207,7 @@ class Stepped(_SoftContact):
     steps_per_contact: Annotated[
         int, Field(ge=1, le=MAX_STEPS_PER_CONTACT, description="Time steps of a contact."), WHOLE
     ] = 20
-    scheme: Literal["verlet", "euler"] = "verlet"
+    scheme: Scheme = "verlet"
     events: Annotated[
         Literal["located", "plain"],
         Field(

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from kernel.step_limits import (
     MOST_STEPS_PER_PERIOD,
-    Scheme,
     largest_stable_step,
     stable_steps_per_contact,
     steps_per_period,
@@ -71,7 +70,7 @@ def stated(model: Stepped, cells: Cells) -> dict[str, float]:
     steps = steps_per_period(model.restitution, depth, model.steps_per_contact, adhesive=model.adhesive)
     limit = largest_stable_step(
         cells.omega, cells.xi, model.restitution, depth,
-        adhesive=model.adhesive, scheme=Scheme[model.scheme.upper()],
+        adhesive=model.adhesive, scheme=model.scheme,
     )  # fmt: skip
     return {
         "longest_step": float(2.0 * np.pi / np.min(steps)),
@@ -82,9 +81,8 @@ def stated(model: Stepped, cells: Cells) -> dict[str, float]:
 
 def _fewest_stable(model: Stepped, cells: Cells, depth: NDArray[np.float64]) -> int:
     """The fewest stable steps per contact, over all cells; raises BrokenRuleError if `model` has fewer."""
-    scheme = Scheme[model.scheme.upper()]
     fewest = stable_steps_per_contact(
-        cells.omega, cells.xi, model.restitution, depth, adhesive=model.adhesive, scheme=scheme
+        cells.omega, cells.xi, model.restitution, depth, adhesive=model.adhesive, scheme=model.scheme
     )
     worst = int(np.argmax(fewest))
     if model.steps_per_contact < fewest[worst]:

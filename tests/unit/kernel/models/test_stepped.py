@@ -10,9 +10,9 @@ from kernel import restitution
 from kernel.interface import State
 from kernel.models import stepped
 from kernel.params import Line, Outcome
-from kernel.step_limits import Scheme, largest_stable_step, stable_steps_per_contact
+from kernel.step_limits import largest_stable_step, stable_steps_per_contact
 
-SCHEMES = [s.name.lower() for s in Scheme]
+SCHEMES = ["verlet", "euler"]
 ORDER = {"verlet": 2.0, "euler": 1.0}
 
 
@@ -87,9 +87,9 @@ def propagation(h: float, m: float, contact: dict, pressed: bool) -> np.ndarray:
     return np.array(columns).T
 
 
-@pytest.mark.parametrize("kind", list(Scheme))
-def test_limit_of_stability_is_where_an_eigenvalue_leaves_the_circle(kind: Scheme):
-    m = 0.5 if kind == Scheme.VERLET else 0.0
+@pytest.mark.parametrize("kind", SCHEMES)
+def test_limit_of_stability_is_where_an_eigenvalue_leaves_the_circle(kind: str):
+    m = 0.5 if kind == "verlet" else 0.0
     for contact in random_contacts(150):
         limit = float(largest_stable_step(**contact, scheme=kind))
         for part in (0.03, 0.5, 0.97, 0.9999):
@@ -121,7 +121,7 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
     ("name", "omega", "xi", "d"), [("euler", 10.0 / 650.0, 10.0, 1e-2), ("verlet", 2e-3, 0.1, 5e-2)]
 )
 def test_a_run_needs_the_fewest_stable_steps(name: str, omega: float, xi: float, d: float):
-    fewest = int(stable_steps_per_contact(omega, xi, 0.1, d, scheme=Scheme[name.upper()]))
+    fewest = int(stable_steps_per_contact(omega, xi, 0.1, d, scheme=name))
     exact = last_flights(run(Model.SOFT, 1.5, omega, xi, e=0.1, d=d), 1, 1.0)
 
     def outcome(number: int) -> tuple[int, np.ndarray]:

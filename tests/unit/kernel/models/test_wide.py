@@ -23,7 +23,7 @@ from kernel.interface import plate_phase
 from kernel.models.ball import BallPlate
 from kernel.numerics.first_root import HORIZON, ROOT
 from kernel.params import Outcome
-from kernel.step_limits import Scheme, stable_steps_per_contact, steps_per_period
+from kernel.step_limits import stable_steps_per_contact, steps_per_period
 
 ENDED = (Outcome.PERIODIC, Outcome.APERIODIC, Outcome.AT_REST, Outcome.SETTLING)
 
@@ -107,7 +107,7 @@ def check_contact(gamma: float, phi: float, phase) -> None:
 def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str, str]:
     """A cell with a contact of at least that depth, and steps that a specification would accept."""
     events = draw(st.sampled_from(["located", "plain"]))
-    name = draw(st.sampled_from([scheme.name.lower() for scheme in Scheme]))
+    name = draw(st.sampled_from(["verlet", "euler"]))
     s = Setting(
         gamma=draw(st.one_of(st.just(2.0), powers(-3.0, 2.0))),
         omega=draw(st.one_of(st.sampled_from([1.0, math.sqrt(2.0)]), powers(-1.5, 3.0))),
@@ -118,7 +118,7 @@ def stepped(draw: st.DrawFn, smallest: float) -> tuple[Setting, int, str, str]:
         adhesive=draw(st.booleans()),
     )
     fewest = stable_steps_per_contact(
-        s.omega, s.xi, s.restitution, s.penetration, adhesive=s.adhesive, scheme=Scheme[name.upper()]
+        s.omega, s.xi, s.restitution, s.penetration, adhesive=s.adhesive, scheme=name
     )
     number = max(20, int(fewest))
     steps = steps_per_period(s.restitution, s.penetration, number, adhesive=s.adhesive)
