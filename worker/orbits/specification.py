@@ -7,7 +7,7 @@ restitution. A cell is a spring, one (xi, omega). Its branches have the same num
 import math
 import re
 from collections.abc import Sequence
-from typing import Annotated, ClassVar, Final, Literal, Self
+from typing import Annotated, ClassVar, Final, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ MAX_POINTS: Final = 1_000
 MAX_EVENTS: Final = 1_000
 
 DIMS: Final = ("xi", "omega")
+_Many = TypeVar("_Many", bound=Sequence[str | int])
 _MODE: Final = re.compile(r"([1-9][0-9]{0,3})-([1-9][0-9]{0,3})")
 
 
@@ -48,12 +49,13 @@ def read_mode(text: str) -> int:
     return periods
 
 
-def check_modes(modes: Sequence[int]) -> None:
-    """Raise BrokenRuleError for too many or repeated modes, given by their plate periods."""
+def check_modes(modes: _Many) -> _Many:
+    """The modes. Raises BrokenRuleError for too many or repeated ones."""
     if len(set(modes)) < len(modes):
         raise BrokenRuleError("", "must not name a mode twice")
     if not 1 <= len(modes) <= MAX_MODES:
         raise BrokenRuleError("", f"must be 1 to {MAX_MODES} modes, not {len(modes)}")
+    return modes
 
 
 def grid_points(omega: NDArray[np.float64], periods: int) -> NDArray[np.float64]:
@@ -65,15 +67,10 @@ def grid_points(omega: NDArray[np.float64], periods: int) -> NDArray[np.float64]
     return np.maximum(2.0 * math.pi * periods * rate / 0.2, POINTS)
 
 
-def _modes(names: tuple[str, ...]) -> tuple[str, ...]:
-    check_modes([read_mode(name) for name in names])
-    return names
-
-
 Modes = Annotated[
     tuple[Annotated[str, AfterValidator(lambda name: f"1-{read_mode(name)}")], ...],
     BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-    AfterValidator(_modes),
+    AfterValidator(check_modes),
 ]
 
 

@@ -67,11 +67,9 @@ def _text(name: str, value: object) -> str:
 def parse_modes(text: str) -> tuple[int, ...]:
     """The plate periods of modes of one bounce, written as `1-1,1-2`. Raises InvalidRequest."""
     try:
-        modes = [read_mode(part.strip()) for part in text.split(",")]
-        check_modes(modes)
+        return tuple(sorted(check_modes([read_mode(part.strip()) for part in text.split(",")])))
     except BrokenRuleError as error:
         raise InvalidRequest.of("modes", error.rule) from error
-    return tuple(sorted(modes))
 
 
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
