@@ -62,7 +62,7 @@ class WorkerAdmission(WorkerPlugin):
 
     def __init__(self, facts: Mapping[str, str], stores: tuple[str, str] | None = None) -> None:
         self._facts, self._stores = facts, stores
-        self.release = release_of(facts)
+        self.release = hashlib.sha256(repr(sorted(facts.items())).encode()).hexdigest()
         self.refusal = NOT_JUDGED  # why the worker is refused
         self._removed = False
 
@@ -161,11 +161,6 @@ def facts() -> dict[str, str]:
         "kind of processor": platform.machine(),
         "Python": ".".join(platform.python_version_tuple()[:2]),
     }
-
-
-def release_of(facts: Mapping[str, str]) -> str:
-    """A digest of `facts`."""
-    return hashlib.sha256(repr(sorted(facts.items())).encode()).hexdigest()
 
 
 def _unseen(url: str, mark: str) -> str:

@@ -59,8 +59,6 @@ def read_slice(
     """
     arrays = stored_forms(url, forms)
     dims = arrays[OUTCOME].dims
-    if unknown := set(where) - set(dims):
-        raise IndexError(f"there is no dimension {', '.join(sorted(unknown))}; there are {', '.join(dims)}")
     return _read(url, arrays, names, tuple(where.get(dim, slice(None)) for dim in dims), complete)
 
 

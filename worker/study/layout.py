@@ -86,11 +86,6 @@ class Layout:
     #: Attributes that identify the store: `job` and `chunk_shape`.
     identity: Mapping[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for an array with a dimension's name, which readers take for its coordinate."""
-        if clash := sorted({*self.chunk_sizes, *self.extra_sizes} & set(self.names)):
-            raise ValueError(f"arrays named like dimensions: {', '.join(clash)}; rename either")
-
     @cached_property
     def codes(self) -> Mapping[str, Code]:
         """The text coordinates as numbers."""
