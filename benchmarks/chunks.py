@@ -184,10 +184,6 @@ class Simulated:
         """Call a function."""
         return self._thread.submit(function, *arguments)
 
-    def workers(self) -> int:
-        """The number of simulated workers."""
-        return self._workers
-
     def state(self) -> ClusterState:
         """Always connected."""
         return ClusterState(connected=True, workers=self._workers)

@@ -363,7 +363,7 @@ class _Runner:
         assert self._last is not None
         deadline = time.monotonic() + seconds
         study = stored(self._last.record, self._last.job)
-        workers = self._executor.workers()
+        workers = self._executor.state().workers
         # as a machine is that computes other things, too
         slower = max(self._took / (self.seconds(study.spec) + BEGINNING_SECONDS), 1.0)
         query = audit.affordable(study.spec, seconds * workers / slower)

@@ -181,7 +181,7 @@ class JobManager:
 
     def workers(self) -> int:
         """The number of tasks that can run at once; may be a second old."""
-        return self._executor.workers()
+        return self._executor.state().workers
 
     def cancel(self, job_id: str) -> JobRecord:
         """Stop a job: a queued one at once, a running one as soon as workers have stopped writing.

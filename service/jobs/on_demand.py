@@ -95,7 +95,7 @@ class OnDemandCache:
         worker could compute them, and the errors of the calls.
         """
         client = asker()
-        self._workers = self._executor.workers()
+        self._workers = self._executor.state().workers
         if not self._workers:
             self._without_workers = time.monotonic()
         result = self._asked(key, client.connection, calls)

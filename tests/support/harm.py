@@ -152,4 +152,4 @@ def pids(executor: Dask, workers: int = 2) -> list[int]:
 
 def wait_until_ready(executor: Dask) -> None:
     """Wait until both workers are ready."""
-    wait_for(lambda: executor.workers() == 2)
+    wait_for(lambda: executor.state().workers == 2)

@@ -75,9 +75,6 @@ class Held:
         """A call that is never computed."""
         return Future()
 
-    def workers(self) -> int:
-        return self.capacity
-
     def state(self) -> ClusterState:
         return ClusterState(self.capacity > 0, self.capacity)
 

@@ -102,9 +102,6 @@ class Executor(Protocol):
         Raises ExecutorError if there is no cluster to submit to.
         """
 
-    def workers(self) -> int:
-        """The number of tasks that run at once; 0 without workers. May be a second old."""
-
     def state(self) -> ClusterState:
         """Whether there is a cluster, and workers; returns within seconds. May be a second old."""
 

@@ -143,9 +143,6 @@ class Dask:
     def call(self, function: Callable[..., Result], *arguments: Any) -> "Future[Result]":
         return self._submit(_Call(self._release, call_while_wanted, function, *arguments), CALL_PRIORITY)
 
-    def workers(self) -> int:
-        return self.state().workers
-
     def state(self) -> ClusterState:
         if time.monotonic() - self._count_time > COUNT_SECONDS:
             self._count()

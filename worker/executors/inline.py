@@ -37,11 +37,8 @@ class Inline:
         task.add_done_callback(lambda task: task.cancelled() and result.cancel())
         return result
 
-    def workers(self) -> int:
-        return self._workers if self._open else 0
-
     def state(self) -> ClusterState:
-        return ClusterState(self.workers() > 0, self.workers())
+        return ClusterState(self._open, self._workers if self._open else 0)
 
     def compiling(self, store_url: str) -> Compilation | None:
         """The kernel that this process compiles, for any job."""

@@ -33,7 +33,7 @@ def test_workers_with_a_short_lifetime_finish_a_job(tmp_path: Path, monkeypatch:
         executor.call(os.getpid).result(PATIENCE)
         lifetime = max(LIFETIME, STARTS * (time.monotonic() - began))
         first.terminate()
-        wait_for(lambda: executor.workers() == 0, seconds=60)
+        wait_for(lambda: executor.state().workers == 0, seconds=60)
         for _ in range(2):
             processes.worker("--lifetime", f"{lifetime:.0f}s", "--lifetime-restart")
         reached = "worker-lifetime-reached"

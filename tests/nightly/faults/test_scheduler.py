@@ -48,12 +48,13 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
     restarted, address = scheduler
     with closing(Dask(address, timeout=60)) as executor:
         counting = Counting(executor)
-        wait_for(lambda: executor.workers() == 2, seconds=90)
+        wait_for(lambda: executor.state().workers == 2, seconds=90)
         with running(tmp_path / "data", counting) as service:
             job = service.submit(costing(chunks=150, seconds=0.1))
 
             def status() -> str:
-                return f"{counting.submitted} submitted to {executor.workers()} workers: {service.job(job)}"
+                workers = executor.state().workers
+                return f"{counting.submitted} submitted to {workers} workers: {service.job(job)}"
 
             def goes_on(since: float) -> float:
                 """Seconds from `since` until another chunk is done."""
@@ -73,7 +74,7 @@ def test_a_scheduler_that_freezes_and_one_that_dies(
             thawed = goes_on(time.monotonic())
             repetition.check()
 
-            wait_for(lambda: executor.workers() == 2, status, 90)
+            wait_for(lambda: executor.state().workers == 2, status, 90)
             killed = time.monotonic()
             restarted.process.kill()
             wait_for(service.manager.fault)
@@ -98,12 +99,12 @@ def test_lost_schedulers_leave_no_connections(scheduler: tuple[Restarted, str]):
     """Without the client of one connection, six losses leave about ten."""
     restarted, address = scheduler
     with closing(Dask(address, timeout=60)) as executor:
-        wait_for(lambda: executor.workers() == 2, seconds=90)
+        wait_for(lambda: executor.state().workers == 2, seconds=90)
         before = psutil.Process().num_fds()
         for _ in range(6):
             restarted.process.kill()
             wait_for(lambda: not executor.state().connected)
-            wait_for(lambda: executor.workers() == 2, seconds=90)
+            wait_for(lambda: executor.state().workers == 2, seconds=90)
         wait_for(lambda: psutil.Process().num_fds() <= before + 2, seconds=30)
 
 

@@ -34,7 +34,7 @@ def test_cancelling_does_not_wait_for_compilation(tmp_path: Path, monkeypatch: p
     """The kernel of exponents is not compiled at the start of a worker, and takes many seconds."""
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     with closing(Dask(workers=1, memory=2 << 30)) as executor:
-        wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
+        wait_for(lambda: executor.state().workers == 1, seconds=PATIENCE)
         worker = pids(executor, 1)
         with running(tmp_path, executor) as service:
             sweep = costing(exponents=3, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})

@@ -59,7 +59,7 @@ def test_a_worker_that_gets_sigterm_costs_no_try(tmp_path: Path, errors: list[Ba
                 with suppress(psutil.NoSuchProcess):  # the first has ended it
                     each.send_signal(signal.SIGTERM)
             worker.wait(PATIENCE)
-            wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
+            wait_for(lambda: executor.state().workers == 0, seconds=PATIENCE)
         assert service.job(job).state is JobState.RUNNING
     assert any(isinstance(error, WorkerLeft) for error in errors)
     assert blamed(errors) == []

@@ -50,7 +50,7 @@ def test_a_killed_worker_a_cancel_and_another_number_of_workers_change_no_byte(
         job = service.until(submitted(service, spec), JobState.DONE, seconds=PATIENCE)
         assert job.chunks_total > 4
         expected = service.stored(job)
-    wait_for(lambda: workers.workers() == 2)
+    wait_for(lambda: workers.state().workers == 2)
     first = Few(workers, 4)
     with running(tmp_path / "two", first) as service:
         job = submitted(service, spec)

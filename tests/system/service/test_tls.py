@@ -71,4 +71,4 @@ def test_a_scheduler_of_tls_takes_those_with_certificates_alone(tmp_path: Path):
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total
             worker.wait(PATIENCE)  # it was never let in
-            wait_for(lambda: executor.workers() == 1)
+            wait_for(lambda: executor.state().workers == 1)

@@ -138,14 +138,14 @@ def test_workers_that_differ_are_refused_beside_one_that_computes(tmp_path: Path
             [reason] = [reason for reason in refused if why in reason]
             assert f"on {socket.gethostname()}" in reason
             assert "tcp://127.0.0.1:" in reason
-        assert executor.workers() == 0
+        assert executor.state().workers == 0
         wait_for(lambda: refused[0] in (service.manager.supervisor.cluster.explanation or ""))
         assert service.manager.fault() == "no workers yet; jobs wait until there are; workers refused: 6"
         assert service.job(job).chunks_done == 0
         processes.worker()
         ended = service.until(job, JobState.DONE, seconds=PATIENCE)
         assert ended.chunks_done == ended.chunks_total
-        wait_for(lambda: executor.workers() == 1)
+        wait_for(lambda: executor.state().workers == 1)
         wait_for(lambda: service.manager.fault() is None)
 
 
@@ -159,7 +159,7 @@ def test_a_worker_that_dies_while_it_is_prepared_does_not_keep_the_service_from_
     with closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor:
         assert "the workers cannot be prepared, trying again" in caplog.text
         assert executor.call(len, "abc").result(PATIENCE) == 3
-        wait_for(lambda: executor.workers() == 1)
+        wait_for(lambda: executor.state().workers == 1)
 
 
 def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_can(
@@ -178,10 +178,12 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
         wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
         done = service.job(job).chunks_done
         wait_for(lambda: service.job(job).chunks_done >= done + 3, processes.log, PATIENCE)
-        wait_for(lambda: executor.workers() == 1)
+        wait_for(lambda: executor.state().workers == 1)
         wait_for(lambda: len(executor._connection.worker_threads() or ()) == 2)
         (tmp_path / "tree" / "installed").touch()
-        wait_for(lambda: executor.workers() == 2 and not executor.state().refused, processes.log, PATIENCE)
+        wait_for(
+            lambda: executor.state().workers == 2 and not executor.state().refused, processes.log, PATIENCE
+        )
         service.manager.cancel(job.id)
         assert service.until(job, JobState.CANCELLED).error is None
     unexpected = [error for error in errors if not isinstance(error, EXPECTED)]
@@ -195,7 +197,7 @@ def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, proce
         processes.worker()
         wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
         (tmp_path / "away").rename(stores)
-        wait_for(lambda: executor.workers() == 1 and not executor.state().refused, seconds=PATIENCE)
+        wait_for(lambda: executor.state().workers == 1 and not executor.state().refused, seconds=PATIENCE)
 
 
 def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(

@@ -52,17 +52,17 @@ def test_an_adaptive_cluster_starts_without_workers_grows_and_shrinks(
     made[0].adapt(minimum=0, maximum=3, interval="200 ms", target_duration="1 s")
     with closing(Dask(made[0])) as executor:
         wait_for(lambda: executor.state().connected)
-        assert executor.workers() == 0
+        assert executor.state().workers == 0
         with running(tmp_path, executor) as service:
             none = "no workers yet (0 asked for); jobs wait until there are"
             wait_for(lambda: service.manager.fault() == none)
             long = service.submit(costing(chunks=10_000, seconds=0.1))
-            wait_for(lambda: executor.workers() == 3, seconds=PATIENCE)
+            wait_for(lambda: executor.state().workers == 3, seconds=PATIENCE)
             service.manager.cancel(long.id)
             job = service.submit(costing(omega=0.6))
             ended = service.until(job, JobState.DONE, seconds=PATIENCE)
             assert ended.chunks_done == ended.chunks_total
-            wait_for(lambda: executor.workers() == 0, seconds=PATIENCE)
+            wait_for(lambda: executor.state().workers == 0, seconds=PATIENCE)
         client = executor._connection.client
     assert (client.status, made[0].status.name) == ("closed", "running")
 
@@ -80,7 +80,7 @@ def test_a_cluster_that_vanishes_is_made_again(tmp_path: Path, made: list[LocalC
 
         def again() -> bool:
             faults.add(executor.state().fault)
-            return len(made) == 2 and executor.workers() == 1
+            return len(made) == 2 and executor.state().workers == 1
 
         job = service.submit(costing(chunks=30, seconds=0.1))
         wait_for(lambda: service.job(job).chunks_done >= 2, seconds=PATIENCE)
@@ -116,7 +116,7 @@ def test_what_the_connection_swallows_is_lost_with_it(
         made[0].close()
         with pytest.raises(ClusterLost):
             call.result(PATIENCE)
-        wait_for(lambda: executor.workers() == 1, seconds=PATIENCE)
+        wait_for(lambda: executor.state().workers == 1, seconds=PATIENCE)
         assert executor.call(len, "abcd").result(PATIENCE) == 4
 
 
@@ -133,4 +133,4 @@ def test_lost_workers_of_a_users_cluster_are_replaced(made: list[LocalCluster]):
                 return len(workers) == 2 and address not in workers
 
             wait_for(replaced, seconds=PATIENCE)
-            wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+            wait_for(lambda: executor.state().workers == 2, seconds=PATIENCE)

@@ -33,7 +33,7 @@ def break_disk() -> None:
 def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogCaptureFixture):
     use_cache()
     with closing(Dask(workers=2)) as executor:
-        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+        wait_for(lambda: executor.state().workers == 2, seconds=PATIENCE)
         client = executor._connection.client
         bad = sorted(client.scheduler_info()["workers"])[0]
         client.run(break_disk, workers=[bad])
@@ -50,7 +50,7 @@ def test_one_of_two_workers_fails_everything(tmp_path: Path, caplog: pytest.LogC
 def test_a_retry_does_not_wait_for_workers_that_are_gone(tmp_path: Path):
     use_cache()
     with closing(Dask(workers=2)) as executor:
-        wait_for(lambda: executor.workers() == 2, seconds=PATIENCE)
+        wait_for(lambda: executor.state().workers == 2, seconds=PATIENCE)
         first, second = sorted(executor._connection.client.scheduler_info()["workers"])
         spec, url = costing(chunks=1), str(tmp_path / "sweep.zarr")
         plan = planned(url, spec)

@@ -13,7 +13,7 @@ from service.background import Asker
 from service.errors import Busy, NotComputed
 from service.jobs import on_demand
 from service.jobs.on_demand import OnDemandCache, Pending
-from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft
+from worker.executors.base import ClusterLost, ClusterState, WorkerDied, WorkerLeft
 
 
 class Pool:
@@ -21,9 +21,10 @@ class Pool:
 
     def __init__(self) -> None:
         self.futures: list[Future[Any]] = []
+        self.capacity = 8
 
-    def workers(self) -> int:
-        return 8
+    def state(self) -> ClusterState:
+        return ClusterState(True, self.capacity)
 
     def call(self, *_: Any) -> Future[Any]:
         self.futures.append(Future())
@@ -142,9 +143,9 @@ def test_without_workers_nothing_is_computed(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize(("workers", "share"), [(0, 1), (5, 2), (8, 4)])
-def test_jobs_keep_half_of_the_workers(monkeypatch: pytest.MonkeyPatch, workers: int, share: int):
+def test_jobs_keep_half_of_the_workers(workers: int, share: int):
     pool, cache = started()
-    monkeypatch.setattr(pool, "workers", lambda: workers)
+    pool.capacity = workers
     pending(cache, "many", [(print,)] * 9)
     pending(cache, "more", TWO)
     assert len(pool.futures) == share
@@ -188,11 +189,11 @@ def test_a_call_that_waited_for_workers_delays_no_other(monkeypatch: pytest.Monk
     now = [100.0]
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
     pool, cache = started(jobs_compute=lambda: 1)
-    monkeypatch.setattr(pool, "workers", lambda: 0)
+    pool.capacity = 0
     pending(cache, "first", [(print,)])
     now[0] += 3600.0
     pending(cache, "first", [(print,)])
-    monkeypatch.setattr(pool, "workers", lambda: 8)
+    pool.capacity = 8
     pool.futures[0].set_result("computed")
     assert cache.get("first", [(print,)]) == ["computed"]
     pending(cache, "second", [(print,)])
