@@ -30,15 +30,7 @@ class BounceError(Exception):
     """Root of the exceptions raised on purpose by client and service; the message is fit for users."""
 
     def __reduce__(self) -> tuple[Any, ...]:  # by default Python repeats the call with other arguments
-        return _rebuilt, (type(self), self.args, self.__dict__)
-
-
-def _rebuilt(kind: type[BounceError], arguments: tuple[Any, ...], state: dict[str, Any]) -> BounceError:
-    """An exception from its class, arguments and attributes, for pickle."""
-    error = kind.__new__(kind, *arguments)
-    error.args = arguments
-    error.__dict__.update(state)
-    return error
+        return type(self).__new__, (type(self),), self.__dict__ | {"args": self.args}
 
 
 class SpecError(BounceError, ValueError):
