@@ -8,6 +8,7 @@ this user alone and refused if others own it or can write to it.
 """
 
 import atexit
+import functools
 import hashlib
 import logging
 import os
@@ -34,23 +35,15 @@ class CacheRefused(Exception):
     """Other users could have written the compiled kernels; the text says where and what to do."""
 
 
-#: The folder that this process uses.
-_chosen: list[Path] = []
-
-
+@functools.cache
 def use_cache() -> Path:
-    """Make this process use the cache of compiled kernels, and return its folder.
+    """Make this process use the cache of compiled kernels, and return its folder. Raises CacheRefused."""
+    folder = _cache_folder(default_root())
+    from kernel.numerics import cache, jit  # noqa: PLC0415 - imports numba
 
-    Later calls return the same folder. Raises CacheRefused.
-    """
-    if not _chosen:
-        folder = _cache_folder(default_root())
-        from kernel.numerics import cache, jit  # noqa: PLC0415 - imports numba
-
-        if not jit.PLAIN:
-            cache.set_cache(folder)
-        _chosen.append(folder)
-    return _chosen[0]
+    if not jit.PLAIN:
+        cache.folder = folder
+    return folder
 
 
 def default_root() -> Path:

@@ -26,23 +26,12 @@ class Compilation(NamedTuple):
         return max(time.time() - self.began, 0.0)
 
 
-#: Where entries are kept; None: nowhere.
-_folder: Path | None = None
+#: The folder, which must exist, of compiled entries; None: none are kept. Who writes to it decides what runs.
+folder: Path | None = None
 
 #: The compilations of this process, by thread, and the seconds that kernels took.
 _under_way: dict[int, Compilation] = {}
 _took: dict[str, float] = {}
-
-
-def set_cache(folder: Path | None) -> None:
-    """Keep compiled entries in this folder, which must exist; anyone who writes to it decides what runs."""
-    global _folder  # noqa: PLW0603 - one cache for all kernels of a process
-    _folder = folder
-
-
-def cache_folder() -> Path | None:
-    """The folder of `set_cache`."""
-    return _folder
 
 
 def compilations() -> list[Compilation]:

@@ -4,9 +4,9 @@ numba optimises and emits every function by itself, and again in each of its cal
 is only typed and lowered. An *entry*, a function that Python calls, links all that it calls, directly or not,
 and is optimised and emitted once. A kernel of a hundred functions compiles in a third of the time.
 
-A cache (`set_cache`) keeps two files for each entry and signature: the linked code before optimisation, which
-is the same on all processors, and the machine code of one processor. A file appears whole or not at all,
-so any number of processes share a folder; of several that need the same entry one compiles it.
+A cache (`cache.folder`) keeps two files for each entry and signature: the linked code before optimisation,
+which is the same on all processors, and the machine code of one processor. A file appears whole or not at
+all, so any number of processes share a folder; of several that need the same entry one compiles it.
 
 Only this module uses numba's internals; `kernel.numerics.jit` imports it if it can, and
 `tests/unit/kernel/numerics/test_compilation.py` fails when numba changes them.
@@ -37,7 +37,8 @@ from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 from numba.core.typing.templates import AbstractTemplate, infer_global
 
-from kernel.numerics.cache import cache_folder, compiling
+from kernel.numerics import cache
+from kernel.numerics.cache import compiling
 
 #: numba's passes that kernels need, in its order. The others are for `with`, `literal_unroll` or functions
 #: inlined as Python, which kernels do not have.
@@ -353,11 +354,6 @@ class Kernel(CPUDispatcher):
         plain = (types.unliteral(arg) if isinstance(arg, types.IntegerLiteral) else arg for arg in args)
         return super().get_call_template(tuple(plain), kws)
 
-    def compile(self, sig: Any) -> Any:
-        """As numba does, but quicker for a compiled function: numba asks at every call that it types."""
-        done = self.overloads.get(sig) if isinstance(sig, tuple) else None
-        return super().compile(sig) if done is None else done.entry_point
-
 
 def declare(function: Callable[..., Any], options: dict[str, Any]) -> Kernel:
     """A kernel function."""
@@ -440,7 +436,7 @@ class _EntryCache:
     def _path(self, sig: Any) -> Path | None:
         """The file of a signature before optimisation; None without a cache, and for models of others."""
         arguments = tuple(sig.args) if hasattr(sig, "args") else tuple(sig)
-        module, folder = _module(arguments), cache_folder()
+        module, folder = _module(arguments), cache.folder
         if folder is None or not (module or "kernel.").startswith("kernel."):
             return None
         identity = hashlib.sha256(f"{self._name} {module} {arguments}".encode()).hexdigest()[:12]

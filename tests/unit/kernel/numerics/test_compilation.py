@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from kernel.numerics import cache, compilation
-from kernel.numerics.cache import USUAL, cache_folder, compilations, compiling, set_cache
+from kernel.numerics.cache import USUAL, compilations, compiling
 from kernel.numerics.compilation import Entry
 from kernel.numerics.jit import inlined, jit
 
@@ -26,12 +26,10 @@ def quadrupled(x: float) -> float:
 
 
 @pytest.fixture
-def folder(tmp_path: Path):
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A cache of its own for the functions above, which count as the kernel's."""
-    kept = cache_folder()
-    set_cache(tmp_path)
-    yield tmp_path
-    set_cache(kept)
+    monkeypatch.setattr(cache, "folder", tmp_path)
+    return tmp_path
 
 
 def entry(function: Any) -> Entry:
