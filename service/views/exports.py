@@ -33,7 +33,7 @@ from service.views.encode import as_cf, check_format, record_batch, tables, writ
 from service.views.selection import LABEL, Stored, labelled, read_stored
 from worker.studies import study_of
 from worker.study import Array, Layout, Plan
-from worker.study.layout import flat_attributes
+from worker.study.layout import SOURCE, flat_attributes
 from worker.sweep import SweepSpec, schema
 
 #: A chunk: the cells it spans, by dimension in the order of the store, and its arrays by name.
@@ -65,6 +65,7 @@ def attributes_of(job: JobRecord, prepared: PreparedJob) -> dict[str, str | int 
     attributes["spec"] = {**attributes["spec"], "name": job.name}
     attributes["title"] = job.name or attributes["title"]
     attributes |= {"job": job.id, "kernel_version": job.kernel_version, "history": "\n".join(times)}
+    attributes["source"] = SOURCE.format(job.kernel_version)
     if runs:
         libraries = {"python": runs[-1]["python"], **runs[-1]["libraries"]}
         attributes |= {

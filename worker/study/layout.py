@@ -24,7 +24,8 @@ CELL_DIMS: Final = ("direction", "xi", "omega", "gamma")
 #: Name of the array that says which cells were computed, in a study that fills in others.
 COMPUTED: Final = "computed"
 
-#: Reference of the model.
+#: Who computed results, by which kernel version, and the reference of the model.
+SOURCE: Final = "bouncing-spring, kernel version {}: numerical solution of the model"
 REFERENCE: Final = (
     "Hubert, Ludewig, Dorbolo and Vandewalle, Bouncing dynamics of a spring, Physica D 272 (2014)"
 )
@@ -259,7 +260,7 @@ def grid_layout(
         attributes={  # depend only on the specification
             "Conventions": "CF-1.11",
             "title": spec.name or title,
-            "source": f"bouncing-spring, kernel version {KERNEL_VERSION}: numerical solution of the model",
+            "source": SOURCE.format(KERNEL_VERSION),
             "references": REFERENCE,
             "kernel_version": KERNEL_VERSION,
             "model": model,

@@ -73,6 +73,7 @@ def test_arrays_that_have_another_name_since_are_read(folder: Path, tmp_path: Pa
         exported.write_bytes(client.get(f"{job}/export?format=nc").content)
         with xarray.open_dataset(exported, engine="h5netcdf") as dataset:
             np.testing.assert_array_equal(np.squeeze(dataset.violations), answer.violations)
+            assert "kernel version 1:" in dataset.source
         assert client.get(f"{job}/zarr/admissible/zarr.json").status_code == 200
     store_of(folder, "cycles").rename(tmp_path / "kept")
     settings = Settings(data=tmp_path / "another")
