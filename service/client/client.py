@@ -140,7 +140,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                 return self.job(reached["answer"])
             time.sleep(BUDGET_DELAY)
             first._refresh_in_time(budget=reached.get("id"))  # budgets of others have the same first level
-        raise BounceError("the service has begun anew, which ends the budget: `jobs` finds its levels")
+        raise BounceError("the service has begun anew, which ends the budget: its levels are among the jobs")
 
     def import_shared(self, path: "str | PathLike[str]") -> Job:
         """The sweep of a file that `Job.share` wrote as a done job of this service, the same to the last bit.
