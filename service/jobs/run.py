@@ -263,7 +263,7 @@ class JobRun:
         """Estimated seconds until the job is done, with its unsaved reports.
 
         Without a rate it is the rest of what the table of costs says, if few chunks follow each other on this
-        number of workers, else None.
+        number of workers, else None, as without workers.
         """
         now = time.monotonic()
         self._times.note(self.unsaved_reports, now)
@@ -276,7 +276,8 @@ class JobRun:
             return left
         in_a_row = -(-self._to_come // at_once)
         taken = now - self._began
-        return max(in_a_row * self._by_table - taken, taken * LEAST_LEFT) if in_a_row <= FEW else None
+        by_table = max(in_a_row * self._by_table - taken, taken * LEAST_LEFT)
+        return by_table if workers and in_a_row <= FEW else None
 
     @property
     def at_once(self) -> int:

@@ -318,14 +318,18 @@ def test_a_key_makes_a_repeated_request_one_request(tmp_path: Path):
         assert service.manager.submit(sweep(), key="another").accepted
 
 
-@pytest.mark.parametrize(("lines", "in_a_row"), [(1, 1), (2, 1), (4, 2), (5, None)])
+@pytest.mark.parametrize(
+    ("workers", "lines", "in_a_row"), [(2, 1, 1), (2, 2, 1), (2, 4, 2), (2, 5, None), (0, 1, None)]
+)
 def test_the_table_of_costs_tells_the_time_left_of_few_chunks(
-    tmp_path: Path, lines: int, in_a_row: int | None
+    tmp_path: Path, monkeypatch, workers: int, lines: int, in_a_row: int | None
 ):
     gamma, omega = {"start": 1.5, "stop": 5.0, "num": 2000}, np.linspace(0.5, 1.0, lines).tolist()
     spec = parse(spec_of(gamma, omega, 0.26, protocol={"kind": "multistability"}))
     line = study_of(spec).estimate(spec, plan := study_of(spec).plan(spec)).core_seconds / len(plan)
-    with running(tmp_path, Held(capacity=2)) as service:
+    held = Held(capacity=workers)
+    monkeypatch.setattr(held, "state", lambda: ClusterState(True, workers))  # connected without workers too
+    with running(tmp_path, held) as service:
         job = service.until(service.submit(spec), JobState.RUNNING)
         assert job.chunks_total == lines
         assert job.seconds_left == (in_a_row and pytest.approx(in_a_row * line, abs=5.0))
