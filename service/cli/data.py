@@ -50,7 +50,7 @@ def restore(file: Path, data: str | None) -> None:
         unknown = opening.find_unknown(ledger, settings)
     if unknown:
         taken = "bounce adopt --all takes in those of jobs that it lacks"
-        click.echo(f"{len(unknown)} stores are unknown to it: {taken}")
+        click.echo(f"{plural(len(unknown), 'store')} unknown to it: {taken}")
 
 
 @click.command()

@@ -110,7 +110,7 @@ def test_a_restored_ledger_loses_no_store_and_the_one_before_is_kept(folder: Pat
     answer = bounce("restore", str(folder / "backup.sqlite"), "--data", str(data))
     assert answer.exit_code == 0, answer.output
     assert "1 job, " in answer.output
-    assert "2 stores are unknown to it: bounce adopt --all" in answer.output
+    assert "2 stores unknown to it: bounce adopt --all" in answer.output
     [replaced] = data.glob("ledger-replaced-*.sqlite")
     assert f"the ledger that was there is {replaced}\n" in answer.output
     assert ids(replaced) == known
