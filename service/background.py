@@ -133,8 +133,13 @@ class Processes:
             self._changed.wait_for(lambda: self._idle or self._may_start or self._closed)
             if self._closed:
                 raise OSError("closed")
-            if self._idle:
-                return self._idle.pop()[1]
+            while self._idle:
+                _, idle = self._idle.pop()
+                if idle.is_alive():
+                    return idle
+                idle.end()
+                self._started -= {idle}
+                self._may_start += 1
             self._may_start -= 1
         process = _Process()
         self._started.add(process)
@@ -206,6 +211,9 @@ class _Process:
         self._connection.send((function, arguments))
         succeeded, value = self._connection.recv()
         return succeeded, value, self._connection.recv()
+
+    def is_alive(self) -> bool:
+        return self._process.is_alive()
 
     def stop(self) -> None:
         """End the process soon, once no kernel compiles; a thread that waits in `call` notices."""

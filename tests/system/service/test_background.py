@@ -85,6 +85,13 @@ def hold(megabytes: int) -> int:
     return os.getpid()
 
 
+def test_a_process_that_dies_idle_is_replaced(processes: Processes):
+    process = psutil.Process(processes.run(os.getpid))
+    process.kill()
+    wait_for(lambda: process.status() == psutil.STATUS_ZOMBIE)
+    assert processes.run(os.getpid) != process.pid
+
+
 def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
     with closing(Processes(1)) as processes:
         first = processes.run(hold, 1)
