@@ -46,10 +46,10 @@ from service.jobs.stores.opening import open_ledger
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
-from service.views import audit, diagram, exports
-from service.views.registry import admit, answer, stored
+from service.views import audit, exports
+from service.views.registry import VIEWS, admit, answer, stored
 from service.views.springs import threshold
-from service.views.view import Call, Query
+from service.views.view import Call, Query, View
 from worker import store as stores
 from worker.analysis.audit import is_compiled as is_compiled_for_audit
 from worker.executors.inline import Inline
@@ -176,9 +176,11 @@ def run_to_file(
     output
         Path of the file.
     format
-        One of `service.formats.EXPORTS` for the whole study, or of a diagram's formats for a line of a sweep.
+        One of `service.formats.EXPORTS` for the whole study, or of the formats of the result that shows it:
+        the map of a sweep over Gamma and Omega without a line, the diagram of others, the result of another
+        study.
     line
-        The diagram's line: the arguments of `Job.diagram`.
+        The arguments of that result's method. `along`, `gamma` or `omega` make it a diagram.
     **computing
         As in `computed`.
 
@@ -190,22 +192,20 @@ def run_to_file(
     Raises
     ------
     InvalidRequest
-        The sweep does not have the line.
+        The study does not have the result.
     TooLarge, NoSpace
         Also raises the errors of `run`.
     """
     use_cache()
     target, parsed = Path(output), from_json(body(spec))
-    if not isinstance(parsed, SweepSpec) and format not in EXPORTS:
-        formats = ", ".join(name for name in (*EXPORTS, "zarr") if name != "html")
-        raise InvalidRequest.of("format", f"only a sweep has a diagram; this study is written as {formats}")
-    query: Query = _query(diagram.DiagramQuery, line or {})
+    view = _shown(parsed, line or {})
+    query: Query = _query(view.query, line or {})
     settings = _settings(partial_of(target))
     # check before computing for hours
     if format in EXPORTS:
         exports.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
-        query, _ = admit(diagram.VIEW, parsed, query, format, settings.max_points)
+        query, _ = admit(view, parsed, query, format, settings.max_points)
     with (
         computed(parsed, settings.data, **computing) as done,
         complete_file(target) as file,
@@ -219,9 +219,17 @@ def run_to_file(
             with exports.make(InThisProcess(), whole, settings.exports_path) as made:
                 shutil.copyfileobj(made, file)
         else:
-            file.write(answer("diagram", study, query, format)[0])
+            file.write(answer(view.name, study, query, format)[0])
     shutil.rmtree(partial_of(target))
     return _status(done.record)
+
+
+def _shown(spec: Any, line: Mapping[str, Any]) -> View:
+    """The result that shows a study."""
+    if isinstance(spec, SweepSpec):
+        is_map = len(spec.axis_values("gamma")) > 1 < len(spec.axis_values("omega"))
+        return VIEWS["modes" if is_map and line.keys().isdisjoint(("along", "gamma", "omega")) else "diagram"]
+    return next(view for view in VIEWS.values() if view.study is not None and isinstance(spec, view.study))
 
 
 def _query(model: type[Query], fields: Mapping[str, Any]) -> Query:

@@ -100,12 +100,13 @@ def run(
     budget: float | None,
     **query: Any,
 ) -> None:
-    """Compute a sweep without a service, and write it.
+    """Compute a study without a service, and write it.
 
-    The ending of the output says what is written: the sweep as .zarr, .nc or .parquet, or its diagram as
-    .png, .svg, .pdf, .csv or .json, or a page .html. SPEC is as of "bounce submit". Interrupted, it
-    leaves the folder OUTPUT.partial, and the same command goes on there.
-    With options of a diagram: -o diagram.png --along gamma --omega 0.5.
+    The ending of the output says what is written: the study as .zarr, .nc or .parquet, a page .html, or as
+    .png, .svg, .pdf, .csv or .json what shows it: the map of a grid over gamma and omega, else the diagram,
+    basin or branches. SPEC is as of "bounce submit". Interrupted, it leaves the folder OUTPUT.partial, and
+    the same command goes on there.
+    Of a grid a diagram: -o diagram.png --along gamma --omega 0.5.
     """
     from service import local
 
@@ -116,7 +117,7 @@ def run(
     query = {name: value for name, value in query.items() if value is not None}
     if query and format in ("zarr", *EXPORTS):
         option, pictures = next(iter(query)).replace("_", "-"), ", ".join((*PICTURES, *TABLES))
-        raise click.UsageError(f"--{option} is of a diagram: -o with one of {pictures}")
+        raise click.UsageError(f"--{option} is of a picture or table: -o with one of {pictures}")
     specification = _specification(spec, effort)
     # The imports of this process count.
     computing: dict[str, Any] = {"workers": workers, "budget": budget, "began": BEGAN}

@@ -269,7 +269,7 @@ def test_the_doctor_asks_the_service_on_the_folder(
         (["threshold", "--omega", "1", "--xi", "0", "--effort", "10"], 2, "only with --search"),
         (["submit", __file__, "--budget", "5s", "--key", "a"], 2, "give one"),
         (["submit", __file__, "--budget", "5s", "--estimate"], 2, "give one"),
-        (["run", __file__, "-o", "a.nc", "--omega", "1"], 2, "--omega is of a diagram"),
+        (["run", __file__, "-o", "a.nc", "--omega", "1"], 2, "--omega is of a picture or table"),
         (["figure", "all", "-o", "a.png"], 2, "must be a folder"),
         (["serve", "--port", "99999"], 1, "port"),
         (["serve", "--host", "nowhere.invalid", "--port", "0"], 1, "to listen on nowhere.invalid"),

@@ -155,10 +155,20 @@ def test_complex_arrays_are_written_as_their_parts(tmp_path: Path):
         np.testing.assert_array_equal(dataset.multiplier_imag, stored.imag)
 
 
-def test_of_studies_that_are_no_sweeps_the_files_are_checked_before_computing(tmp_path: Path):
+def test_a_study_is_written_as_what_shows_it_which_is_checked_before_computing(tmp_path: Path):
     basins = BASINS | {"gamma": 2.3, "omega": 0.5, "protocol": {"kind": "basin", "rows": 4, "columns": 4}}
-    with pytest.raises(InvalidRequest, match="only a sweep has a diagram; this study is written as nc"):
-        local.run_to_file(basins, tmp_path / "a.png", "png", progress=False)
+    grid = SPEC | {"omega": [0.5, 0.6], "xi": 0.26}
+    for name, spec, line, column in (
+        ("map", grid, {}, ",bounces,periods"),
+        ("line", grid, {"omega": 0.6}, "flight,"),
+        ("basin", basins, {}, "attractor_fraction"),
+    ):
+        local.run_to_file(spec, tmp_path / name, "csv", line, progress=False)
+        assert column in (tmp_path / name).read_text().partition("\n")[0]
+        (tmp_path / name).unlink()
+    for spec, line in ((grid | {"xi": [0.1, 0.26]}, {}), (basins, {"along": "gamma"})):
+        with pytest.raises(InvalidRequest, match=r"^(xi: is required|along: is not a parameter here)"):
+            local.run_to_file(spec, tmp_path / "a.png", "png", line, progress=False)
     assert not list(tmp_path.iterdir())
     local.run_to_file(basins, tmp_path / "a.nc", "nc", progress=False)
     with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
