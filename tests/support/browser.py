@@ -1,5 +1,7 @@
 """A real Chromium for the page's tests: pages that fail on console errors, timings, screenshots."""
 
+import csv
+import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -104,7 +106,8 @@ def opened(
 ) -> Iterator[Any]:
     """A page in a context of its own. hurried: its timers of a second and more take a fifth of the time.
 
-    A console error or warning that contains none of the `expected` texts fails the test.
+    A console error or warning that contains none of the `expected` texts fails the test. With
+    BOUNCE_TEST_SCREENSHOTS set, the last page of a test is kept as a picture.
     """
     options = {"viewport": {"width": 1280, "height": 860}, "reduced_motion": "no-preference", **options}
     errors: list[str] = []
@@ -118,6 +121,8 @@ def opened(
     try:
         page.goto(address)
         yield page
+        if "BOUNCE_TEST_SCREENSHOTS" in os.environ:
+            screenshot(page, os.environ["PYTEST_CURRENT_TEST"].split("::")[-1].split()[0])
     finally:
         context.close()
     unexpected = [error for error in errors if not any(text in error for text in expected)]
@@ -150,6 +155,20 @@ def wait_shown(page: Any, **values: Any) -> None:
 def picture(page: Any) -> str:
     """What the plot shows."""
     return str(page.eval_on_selector(".panel .plot canvas", "canvas => canvas.toDataURL()"))
+
+
+def download(button: Any) -> Path:
+    """The file that a click saves, with the name that it is given."""
+    with button.page.expect_download() as saved:
+        button.click()
+    path = Path(saved.value.path())
+    return path.rename(path.with_name(saved.value.suggested_filename))
+
+
+def table_of(page: Any) -> list[dict[str, str]]:
+    """The rows of an opened table, as its CSV has them."""
+    with download(page.get_by_role("button", name="Download table as CSV")).open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def redraws(page: Any, indices: list[int]) -> list[float]:

@@ -1,12 +1,12 @@
 """The page in a real Chromium, served by a real service."""
 
-import csv
 import json
 import math
 import os
 import re
 import webbrowser
-from contextlib import ExitStack, closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from browser import (
     DROP,
     LONG_LINE,
     ROOT,
+    download,
     longest_task,
     needs_chromium,
     open_tab,
@@ -25,6 +26,7 @@ from browser import (
     picture,
     reopen,
     screenshot,
+    table_of,
     wait_shown,
     watch_tasks,
 )
@@ -64,6 +66,19 @@ def view(address: str, job: str, tab: str = "diagram", **query: Any) -> str:
     return f"{address}/#/job/{job}/{tab}?{parameters}"
 
 
+@pytest.fixture
+def showing(browser: Any, address: str, loop: str) -> Any:
+    """Opens a view of `loop`, with options of the browser, and waits until its plot shows the spring."""
+
+    @contextmanager
+    def showing(tab: str = "diagram", options: dict[str, Any] | None = None, **query: Any) -> Iterator[Any]:
+        with opened(browser, view(address, loop, tab, **query), **options or {}) as page:
+            wait_shown(page, **{name: query[name] for name in ("omega", "xi") if name in query})
+            yield page
+
+    return showing
+
+
 def colours(page: Any, selector: str = ".panel .plot canvas") -> int:
     """The number of different colours on a canvas: one if nothing is drawn."""
     return int(
@@ -89,7 +104,6 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         page.locator("summary", has_text="Recording").click()
         page.locator("[data-field=settle]").fill("20000")
         cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · about .+ on 2 workers")).wait_for()
-        screenshot(page, "form")
         page.get_by_role("button", name="Compute").click()
         page.wait_for_url(re.compile("#/job/"))
         bar = page.locator("#bar .bar")
@@ -131,7 +145,6 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         assert "must not be above stop: swap the two" in page.locator(".error").inner_text()
         assert page.get_by_role("button", name="Compute").is_disabled()
         assert "see the marked fields" in page.locator(".cost").inner_text()
-        screenshot(page, "form-refused")
         page.get_by_label("restitution").fill("two")
         page.locator("[data-field='model.restitution'][aria-invalid=true]").wait_for()
         assert page.locator(".error").last.inner_text() == "must be a number, not text 'two'"
@@ -281,9 +294,7 @@ def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
         page.get_by_role("button", name="Rename").click()
         page.locator("#bar h1", has_text="called otherwise").wait_for()
         wait_shown(page, omega=0.61)
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download PNG").click()
-        assert download.value.suggested_filename == "called-otherwise-cycles.png"
+        assert download(page.get_by_role("button", name="Download PNG")).name == "called-otherwise-cycles.png"
 
 
 def test_a_contact_model_that_the_page_does_not_know_is_in_the_form(browser: Any, address: str):
@@ -328,7 +339,6 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         row.get_by_role("button", name="Resume").click()
         row.get_by_role("button", name="Cancel").click()
         row.locator("[data-state=cancelled]").wait_for()
-        screenshot(page, "sweeps")
         page.once("dialog", lambda dialog: (client.job(job).delete(), dialog.accept()))  # elsewhere, too
         row.get_by_role("button", name="Delete").click()
         row.wait_for(state="detached")
@@ -400,7 +410,6 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         error = page.locator("header.job + .problem", has_text="The sweep failed: chunk 0")
         wait_shown(page, along="gamma")
         assert error.is_visible()
-        screenshot(page, "failed")
         open_tab(page, "Mode map")
         wait_shown(page, direction="up")
         assert error.is_visible()
@@ -496,9 +505,8 @@ def test_an_error_is_shown_until_the_service_answers_again(browser: Any, address
 # The views of a sweep
 
 
-def test_a_slider_follows_the_grid_and_is_kept_in_the_address(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
-        wait_shown(page, omega=0.6, xi=0.05)
+def test_a_slider_follows_the_grid_and_is_kept_in_the_address(showing: Any):
+    with showing(omega=0.6, xi=0.05) as page:
         before = picture(page)
         slider = page.get_by_role("slider").first
         assert slider.get_attribute("aria-valuetext") == "Ω = 0.6"
@@ -507,7 +515,6 @@ def test_a_slider_follows_the_grid_and_is_kept_in_the_address(browser: Any, addr
         wait_shown(page, omega=0.65)
         wait_for(lambda: picture(page) != before)
         page.wait_for_url(re.compile("omega=0.65"))
-        screenshot(page, "diagram")
         after = picture(page)
         page.reload()
         wait_shown(page, omega=0.65)
@@ -575,7 +582,6 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
     shown = f"{file.as_uri()}#/job/{loop}/diagram?xi=0.05"
     with opened(browser, shown, offline=True, viewport={"width": 1280, "height": 800}) as page:
         wait_shown(page, xi=0.05)
-        screenshot(page, "shared", whole=False)
         page.get_by_label("Ramp").select_option("up")
         page.get_by_label("Value of Ω").fill("0.6")
         page.keyboard.press("Enter")
@@ -592,7 +598,6 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.locator("tr", has_text="How to cite").get_by_text("Physica D").wait_for()
         page.get_by_label("Language").select_option("Python")
         page.locator(".snippets pre", has_text='Client("http://127.0.0.1:8000")').wait_for()  # not file://
-        screenshot(page, "shared-details", whole=False)
         page.get_by_role("link", name="Bouncing spring").click()  # there is no list
         wait_shown(page, xi=0.1)
     with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
@@ -606,13 +611,8 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.wait_for_url(f"**/job/{loop}**")
 
 
-def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(
-    browser: Any, address: str, loop: str
-):
-    with opened(
-        browser, view(address, loop, omega=0.6, xi=0.05), viewport={"width": 1280, "height": 800}
-    ) as page:
-        wait_shown(page, omega=0.6)
+def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(showing: Any):
+    with showing(options={"viewport": {"width": 1280, "height": 800}}, omega=0.6, xi=0.05) as page:
         plot = page.locator(".panel .plot")
         box = plot.bounding_box()
         assert box["y"] < 140
@@ -630,22 +630,18 @@ def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(
         for figure in page.locator(".trajectory .plot").all():
             drawn = figure.bounding_box()
             assert drawn["y"] + drawn["height"] < 800
-        screenshot(page, "diagram-with-a-cell", whole=False)
         page.get_by_role("button", name="Prove this cycle").click()
         page.locator(".trajectory li", has_text=" rad").first.wait_for()
-        screenshot(page, "a-proven-cycle", whole=False)
         page.keyboard.press("Escape")
         page.locator(".trajectory").wait_for(state="hidden")
 
 
-def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05)) as page:
-        wait_shown(page, omega=0.6)
+def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(showing: Any):
+    with showing(omega=0.6, xi=0.05) as page:
         axes = page.locator(".panel .plot [id^=axes]")
         assert "(rad) from 0 to" in axes.inner_text()
         page.get_by_role("button", name="log y").click()
         axes.filter(has_text=re.compile(r"\(rad\) from 0\.\d+ to")).wait_for(state="attached")
-        screenshot(page, "logarithmic", whole=False)
         page.locator(".panel .plot").hover(position={"x": 400, "y": 300})
         page.mouse.wheel(0, 400)  # all is shown already
         page.wait_for_url(re.compile("log=y"))
@@ -657,9 +653,8 @@ def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(browser: Any, ad
         page.wait_for_url(re.compile("log=none"))
 
 
-def test_a_window_of_a_ramp_keeps_the_ends_where_it_begins(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05, x0=0.5, x1=0.6, y0=0, y1=6)) as page:
-        wait_shown(page, omega=0.6)
+def test_a_window_of_a_ramp_keeps_the_ends_where_it_begins(showing: Any):
+    with showing(omega=0.6, xi=0.05, x0=0.5, x1=0.6, y0=0, y1=6) as page:
         page.get_by_role("button", name="Compute this window").click()
         page.locator(".cost", has_text="cells in").wait_for()
         fields = [page.locator(f"[data-field='gamma.{name}']") for name in ("start", "stop", "num")]
@@ -671,9 +666,8 @@ def _width(page: Any) -> float:
     return high - low
 
 
-def test_two_fingers_zoom(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05), has_touch=True) as page:
-        wait_shown(page, omega=0.6)
+def test_two_fingers_zoom(showing: Any):
+    with showing(options={"has_touch": True}, omega=0.6, xi=0.05) as page:
         box = page.locator(".panel .plot").bounding_box()
         touch = page.context.new_cdp_session(page)
         for kind, apart in (("touchStart", 50), ("touchMove", 80), ("touchMove", 120), ("touchEnd", None)):
@@ -684,10 +678,9 @@ def test_two_fingers_zoom(browser: Any, address: str, loop: str):
         wait_for(lambda: _width(page) < 0.9)  # of 1.1; a busy browser drops some of the moves
 
 
-def test_a_drag_with_shift_moves_the_window(browser: Any, address: str, loop: str):
+def test_a_drag_with_shift_moves_the_window(showing: Any):
     window = {"x0": 0.6, "x1": 0.8, "y0": 1, "y1": 4}
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05, **window)) as page:
-        wait_shown(page, omega=0.6)
+    with showing(omega=0.6, xi=0.05, **window) as page:
         box = page.locator(".panel .plot").bounding_box()
         page.mouse.move(box["x"] + 500, box["y"] + 300)
         page.keyboard.down("Shift")
@@ -719,9 +712,7 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
         wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
         assert "λ₁ per plate period" in below.inner_text()
         page.get_by_text("Table of what is shown").click()
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download table as CSV").click()
-        rows = list(csv.DictReader(Path(download.value.path()).read_text().splitlines()))
+        rows = table_of(page)
         stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()["data_vars"]
         assert [float(row["λ₁"]) for row in rows] == [first for [first] in stored["lyapunov"]["data"]]
         assert [float(row["error of λ₁"]) for row in rows] == stored["lyapunov_error"]["data"]
@@ -730,9 +721,8 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
         wait_for(lambda: "λ₁ from −0.1 to 0.1" in below.inner_text())  # of no cell
 
 
-def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, omega=0.6, xi=0.05, show="down")) as page:
-        wait_shown(page, omega=0.6)
+def test_a_click_on_a_cell_plays_its_trajectory(showing: Any):
+    with showing(omega=0.6, xi=0.05, show="down") as page:
         box = page.locator(".panel .plot").bounding_box()
         # Γ = 0.65, between the margins of the plot: on the ramp down it bounces there.
         at = box["x"] + 58 + (0.65 - 0.3) / 1.1 * (box["width"] - 92), box["y"] + 150
@@ -747,7 +737,6 @@ def test_a_click_on_a_cell_plays_its_trajectory(browser: Any, address: str, loop
         page.locator(".trajectory .readout", has_text="complete flights in 4 plate periods").wait_for()
         page.wait_for_url(re.compile("cell=.*,down"))
         page.get_by_role("button", name="Pause").click()
-        screenshot(page, "trajectory")
         still = page.locator(".trajectory .player").get_attribute("data-phase")
         page.wait_for_timeout(120)
         assert page.locator(".trajectory .player").get_attribute("data-phase") == still
@@ -885,9 +874,8 @@ _PLAIN = """async (numbers) => {
 }"""
 
 
-def test_home_goes_to_the_first_cell_at_once_and_minus_undoes_plus(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
-        wait_shown(page, xi=0.05, omega=0.6)
+def test_home_goes_to_the_first_cell_at_once_and_minus_undoes_plus(showing: Any):
+    with showing(xi=0.05, omega=0.6) as page:
         plot = page.locator(".panel .plot").first
         plot.press("Home")
         assert page.locator(".panel .readout").first.inner_text().startswith("Γ = 0.3 ")
@@ -897,10 +885,9 @@ def test_home_goes_to_the_first_cell_at_once_and_minus_undoes_plus(browser: Any,
             everything.wait_for(state=state)
 
 
-def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop: str):
+def test_what_a_plot_shows_is_text_and_a_table(showing: Any):
     """Axes are text and described; the table has what is in the window and not hidden, 25 rows at a time."""
-    with opened(browser, view(address, loop, xi=0.05, omega=0.6)) as page:
-        wait_shown(page, xi=0.05, omega=0.6)
+    with showing(xi=0.05, omega=0.6) as page:
         plot = page.locator(".panel .plot").first
         texts = plot.locator(".texts span").all_inner_texts()
         assert {"plate acceleration over gravity Γ", "flight time φ (rad)", "0.3", "1.4", "ramp up"} <= set(
@@ -925,9 +912,7 @@ def test_what_a_plot_shows_is_text_and_a_table(browser: Any, address: str, loop:
             said = page.locator(".panel .readout").inner_text()
             assert float(said.split()[2]) == pytest.approx(gamma, abs=0.02)
         assert "at rest" not in page.locator(".paged table").inner_text()
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download table as CSV").click()
-        table = Path(download.value.path()).read_text()
+        table = download(page.get_by_role("button", name="Download table as CSV")).read_text()
         assert table.startswith("Γ,Ω,ξ,ramp,mode,flight times (rad)\n0.")
         assert not set("…–−^") & set(table)  # plain numbers, and all of them
         assert page.evaluate(_PLAIN, [2.38e-7, -1e-9, 0.5, math.nan]) == ["2.38e-7", "-1e-9", "0.5", ""]
@@ -958,10 +943,7 @@ def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_u
         wait_for(lambda: names.count() == len(gamma))
         assert names.all_inner_texts()[:3] == ["1.23456", "1.234561", "1.234562"]
         errors = page.locator(".paged tbody td:nth-child(4)").all_inner_texts()
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download table as CSV").click()
-        with Path(download.value.path()).open(newline="") as file:
-            rows = list(csv.DictReader(file))
+        rows = table_of(page)
         assert [float(row["Γ"]) for row in rows] == gamma
         powers = [text if "·" in text else f"1·{text}" for text in errors]
         shown = [float(text.replace("·10", "e").translate(_LOWERED)) for text in powers]
@@ -971,9 +953,8 @@ def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_u
         page.get_by_text("11 values: 1.23456, 1.234561, 1.234562 … 1.23457").wait_for()
 
 
-def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, "modes", xi=0.05), reduced_motion="reduce") as page:
-        wait_shown(page, xi=0.05)
+def test_the_keyboard_reaches_every_cell(showing: Any):
+    with showing("modes", options={"reduced_motion": "reduce"}, xi=0.05) as page:
         page.locator(".panel .plot").focus()
         page.evaluate(_HEAR)
         for key in ("ArrowRight", "Shift+ArrowRight", "ArrowUp"):
@@ -982,7 +963,6 @@ def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
         assert page.evaluate("heard") == [page.locator(".panel .readout").inner_text()]  # the last one alone
         assert page.evaluate("heard[0]").startswith("Γ = 0.96 · Ω = 0.75 · ")
         assert page.locator("#status").get_attribute("role") == "status"
-        screenshot(page, "modes")
         page.keyboard.press("Enter")
         page.get_by_role("button", name="Play").wait_for()
         page.keyboard.press("+")
@@ -992,14 +972,13 @@ def test_the_keyboard_reaches_every_cell(browser: Any, address: str, loop: str):
         page.locator(".tabs [aria-current]:focus", has_text="Thresholds").wait_for()
 
 
-def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address: str, loop: str):
+def test_the_mode_map_is_hatched_where_up_and_down_differ(showing: Any, address: str, loop: str):
     path, query = f"{address}/v1/jobs/{loop}/modes", {"xi": 0.05, "hysteresis": True}
     plane = httpx2.get(path, params=query, timeout=DEADLINE).json()["data_vars"]
     rows = plane["hysteresis"]["data"]
     cells = [value for row in rows for value in row]
     assert 0 < cells.count(1) < len(cells)
-    with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
-        wait_shown(page, xi=0.05)
+    with showing("modes", xi=0.05) as page:
         page.get_by_text(
             f"lead to other modes (hatched /) in {100 * cells.count(1) / len(cells):.2g} %"
         ).wait_for()
@@ -1012,7 +991,6 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(browser: Any, address:
             page.keyboard.press("ArrowLeft")
         assert said == {True, False}
         page.keyboard.press("Escape")
-        screenshot(page, "modes-hysteresis")
         page.get_by_label("Hatch where up and down differ").uncheck()
         wait_for(lambda: picture(page) != hatched)
         page.wait_for_url(re.compile("hatch=0"))
@@ -1038,13 +1016,8 @@ def test_the_legend_of_a_map_hides_modes_and_has_shares_of_the_cells_shown(
         assert page.locator(".panel .legend li").all_inner_texts() == ["at rest 100 %"]
 
 
-def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
-    browser: Any, address: str, loop: str
-):
-    with opened(
-        browser, view(address, loop, "modes", xi=0.05), viewport={"width": 1920, "height": 1080}
-    ) as page:
-        wait_shown(page, xi=0.05)
+def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(showing: Any):
+    with showing("modes", options={"viewport": {"width": 1920, "height": 1080}}, xi=0.05) as page:
         plot = page.locator(".panel .plot")
         box = plot.bounding_box()
         shown = set()
@@ -1055,7 +1028,6 @@ def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(
                 arg=[*shown, None],
             )
             shown.add(page.locator(".beside .plot").get_attribute("data-shown"))
-        screenshot(page, "map-and-diagram", whole=False)
         page.locator(".panel").first.get_by_role("button", name="log y").click()
         page.wait_for_url(re.compile("log=y"))  # of the frequency, which the diagram has not
         page.wait_for_timeout(300)
@@ -1072,11 +1044,8 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
         page.keyboard.press("ArrowRight")
         page.locator(".panel .readout", has_text="|μ|: 0.").wait_for()
         assert "flight error ≤" in page.locator(".panel .readout").inner_text()
-        screenshot(page, "modes-margin")
         page.get_by_text("Table of what is shown").click()
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download table as CSV").click()
-        rows = csv.DictReader(Path(download.value.path()).read_text().splitlines())
+        rows = table_of(page)
     answer = httpx2.get(f"{address}/v1/jobs/{job}/modes?color=multiplier", timeout=DEADLINE).json()
     stored = chain(*answer["data_vars"]["multiplier"]["data"])
     assert [float(row["|μ|"] or "nan") for row in rows] == pytest.approx(
@@ -1094,9 +1063,7 @@ def test_what_is_copied_and_saved_says_of_which_spring_and_as_sharply_as_known(b
         said = page.locator(".panel .readout", has_text="Γ = 1.7 · Ω = 0.9 · ξ = 0.26 · mode (1, 1) · ")
         assert f"flight times (rad): {flight:.8g}" in said.inner_text()
         page.get_by_text("Table of what is shown").click()
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download table as CSV").click()
-        rows = list(csv.DictReader(Path(download.value.path()).read_text().splitlines()))
+        rows = table_of(page)
         assert {(row["Ω"], row["ξ"]) for row in rows} == {("0.9", "0.26")}
         assert float(rows[2]["flight times (rad)"]) == flight
 
@@ -1111,12 +1078,10 @@ def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp
             for _ in range(3):
                 page.keyboard.press("+")
             note.wait_for(state="hidden")
-            screenshot(page, "modes-zoomed")
 
 
-def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: str):
-    with opened(browser, view(address, loop, "thresholds", xi=0.05)) as page:
-        wait_shown(page, xi=0.05)
+def test_thresholds_are_those_of_the_service(showing: Any, address: str, loop: str):
+    with showing("thresholds", xi=0.05) as page:
         assert colours(page) > 4
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
@@ -1129,7 +1094,6 @@ def test_thresholds_are_those_of_the_service(browser: Any, address: str, loop: s
         )
         assert expected["up_status"][4] == "found"
         assert f"ramp up: {expected['up'][4]:.4g}" in text
-        screenshot(page, "thresholds")
 
 
 def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
@@ -1166,7 +1130,6 @@ def test_a_study_of_cycles_opens_on_its_branches_and_one_of_them_moves(browser: 
         wait_shown(page, omega=0.7)
         assert page.locator(".tabs a").all_inner_texts() == ["Branches", "Details"]
         assert page.locator(".paged tbody tr").count() == admissible
-        screenshot(page, "orbits", whole=False)
         plot = page.locator(".panel .plot")
         plot.focus()
         plot.press("ArrowUp")
@@ -1179,11 +1142,8 @@ def test_a_study_of_cycles_opens_on_its_branches_and_one_of_them_moves(browser: 
         page.get_by_label("Value of Ω").fill("0.6")
         page.get_by_label("Value of Ω").press("Enter")
         wait_shown(page, omega=0.6)
-        with page.expect_download() as download:
-            page.locator(".panel").get_by_role("button", name="Download CSV", exact=True).click()
-        assert "flight_time" in Path(download.value.path()).read_text().splitlines()[0]
-        page.emulate_media(color_scheme="dark")
-        screenshot(page, "orbits-dark", whole=False)
+        table = download(page.locator(".panel").get_by_role("button", name="Download CSV", exact=True))
+        assert "flight_time" in table.read_text().splitlines()[0]
     with opened(browser, view(address, job, "diagram")) as page:  # an address made for a sweep
         wait_shown(page, xi=0.05)
 
@@ -1196,7 +1156,6 @@ def test_the_page_lists_sweeps_and_plays_a_trajectory(browser: Any, address: str
         page.locator(".jobs li").first.wait_for()
         assert page.evaluate("performance.now()") < SLOW_MS
         assert page.locator(".intro").is_hidden()
-        screenshot(page, "start")
         page.get_by_role("link", name="Explore").first.click()
         _phase_after(page, _phase_after(page, None))
         page.locator(".readout", has_text="3.722, 6.285").wait_for()  # docs/model.md, section 5
@@ -1209,9 +1168,7 @@ def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
         page.goto(view(address, job))
         wait_shown(page, along="gamma")
         assert colours(page) > 10
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV", exact=True).click()
-        with Path(download.value.path()).open() as table:
+        with download(page.get_by_role("button", name="Download CSV", exact=True)).open() as table:
             assert next(table).replace('"', "").startswith("flight,direction,omega,xi,gamma,flight_time,")
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")
@@ -1221,7 +1178,6 @@ def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
         page.wait_for_function(
             "before => document.querySelector('.panel .plot canvas').toDataURL() !== before", arg=whole
         )
-        screenshot(page, "million-flights")
         assert longest_task(page) < SLOW_MS
 
 
@@ -1287,12 +1243,11 @@ def test_every_view_fits_a_phone(browser: Any, address: str, loop: str, other: s
     """And says tap, not click."""
     phone = {"viewport": {"width": 375, "height": 740}, "has_touch": True, "is_mobile": True}
     with opened(browser, address, reduced_motion="reduce", **phone) as page:
-        for number, path in enumerate(VIEWS):
+        for path in VIEWS:
             reopen(page, f"{address}/{path.replace('JOB', loop).replace('OTHER', other)}")
             _wait_complete(page, path)
             assert page.evaluate("document.documentElement.scrollWidth") <= 375, path
             assert not re.search(r"\b(double-)?click", page.locator("body").inner_text(), re.IGNORECASE), path
-            screenshot(page, f"phone-{number}")
 
 
 def test_maps_fit_every_desktop(browser: Any, address: str):
@@ -1309,9 +1264,8 @@ def test_maps_fit_every_desktop(browser: Any, address: str):
                 page.locator("#bar").get_by_role("button", name="Delete").wait_for()
                 page.locator(f".panel .legend li >> nth={0 if job == cancelled else 12}").wait_for()
                 assert page.evaluate("document.documentElement.scrollWidth") <= width, job
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download PNG").click()
-        with Image.open(download.value.path()) as image:  # the legend above it makes no map lower
+        with Image.open(download(page.get_by_role("button", name="Download PNG"))) as image:
+            # the legend above it makes no map lower
             assert image.height > 3 * (page.locator(".panel .plot").bounding_box()["height"] + 40)
 
 
@@ -1349,7 +1303,6 @@ def test_the_page_reconnects_to_a_service_that_was_restarted(browser: Any, tmp_p
             banner = page.locator("#offline")
             banner.wait_for()
             banner.filter(has_text="does not answer").wait_for()
-            screenshot(page, "offline")
             running.enter_context(computing_at(tmp_path, port=port))
             banner.wait_for(state="hidden")
             page.locator(".cost", has_text="cells in").wait_for()
@@ -1383,7 +1336,6 @@ def test_the_page_takes_the_token_of_the_opened_address(
             dialog.get_by_label("Access token").fill("a-token-of-the-tests-mistyped")
             dialog.get_by_role("button").click()
             dialog.get_by_text("does not accept this access token").wait_for()
-            screenshot(page, "token")
             page.goto(f"{address}/#token={token}")  # an address that is pasted
             dialog.wait_for(state="hidden")
             page.get_by_text("No sweeps yet").wait_for()

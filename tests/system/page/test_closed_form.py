@@ -6,7 +6,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from browser import needs_chromium, opened, screenshot, wait_shown
+from browser import download, needs_chromium, opened, wait_shown
 from scripted import DEADLINE, Held, wait_for
 from served import done, service_at
 from studies import spec_of
@@ -87,7 +87,6 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         page.get_by_label("Branches").check()
         wait_for(lambda: len(branch_pixels(page)) > 200)
         wait_for(lambda: "branches=1" in page.evaluate("location.href"))
-        screenshot(page, "branches")
 
         # every cycle that is pointed at is one of the closed form, and some are unstable
         texts = {}
@@ -116,7 +115,6 @@ def test_branches_over_a_diagram_and_an_unstable_cycle_in_motion(browser: Any, a
         said.wait_for()
         assert re.search(r"multipliers −?[\d.]+", said.inner_text())
         assert "on a cycle in closed form" in page.locator(".trajectory header .note").inner_text()
-        screenshot(page, "cycle")
         with opened(browser, page.evaluate("location.href")) as again:  # the address shows the same cycle
             again.locator(".trajectory .readout", has_text="On the cycle (1, 1), unstable").wait_for()
         other = re.sub(r"cycle(%3A|:)1\1[\d.]+", r"cycle\g<1>1\g<1>9", page.evaluate("location.href"))
@@ -151,10 +149,7 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
     with opened(browser, where) as page:
         wait_shown(page, omega=0.6)
         wait_for(lambda: len(branch_pixels(page)) > 200)
-        screenshot(page, "soft-branches")
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download SVG").click()
-        assert "unstable cycle" in Path(download.value.path()).read_text()
+        assert "unstable cycle" in download(page.get_by_role("button", name="Download SVG")).read_text()
         with page.expect_request(re.compile("format=csv")) as request:  # which has none of them
             page.get_by_label("Download CSV").first.click()
         assert "branches" not in request.value.url
@@ -164,12 +159,8 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
         page.mouse.click(box["x"] + at[0], box["y"] + at[1])
         page.locator(".trajectory .readout", has_text="On the cycle (").wait_for()
         assert "on a cycle of this contact" in page.locator(".trajectory header .note").inner_text()
-        screenshot(page, "soft-cycle")
-        page.emulate_media(color_scheme="dark")
-        screenshot(page, "soft-cycle-dark")
     with opened(browser, f"{address}/#/job/{soft}/thresholds?xi=0.05&folds=1") as page:
         wait_for(lambda: len(branch_pixels(page)) > 200)
-        screenshot(page, "soft-folds")
     stepped = spec_of((0.5, 1.0, 6), 0.6, 0.05, window=(5, 5, 5), model={"kind": "stepped"})
     with opened(browser, f"{address}/#/job/{done(address, stepped)}/diagram?branches=1") as page:
         texts = page.locator(".panel .plot .texts", has_text="unstable, ideal plate")
@@ -202,7 +193,6 @@ def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
         said = page.locator(".panel .readout", has_text="closed form: ").inner_text()
         assert f"{thresholds(0.625, 0.05).down:.6g}" in said
         assert "cause: fold (1, 1)" in said
-        screenshot(page, "folds")
         page.set_viewport_size({"width": 390, "height": 844})  # of a phone
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas
 import pytest
-from browser import needs_chromium, opened, reopen, screenshot, wait_shown
+from browser import download, needs_chromium, opened, reopen, wait_shown
 from click.testing import CliRunner
 from disks import read_only
 from PIL import Image
@@ -148,7 +148,6 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         _wait_names(page, found[2], *found[:2], *found[3:])
         page.reload()  # the address holds what is looked for
         _wait_names(page, found[2], *found[:2], *found[3:])
-        screenshot(page, "found")
         page.get_by_label("Select number 11").check()
         page.get_by_label("Select number 15").check()
         page.get_by_text("2 selected").wait_for()
@@ -202,7 +201,6 @@ def test_copied_texts_are_the_specification(browser: Any, address: str, jobs: li
         origin.get_by_text(re.compile(r"numpy \d")).wait_for()
         assert jobs[0] in origin.inner_text()
         assert re.search(r"Core-seconds\s+[\d.]+", origin.inner_text())
-        screenshot(page, "details")
         for name, read in {"TOML": tomllib.loads, "Python": _as_python, "JSON": json.loads}.items():
             page.get_by_label("Language").select_option(name)
             assert client.submit(read(page.locator(".snippets pre").inner_text())).id == jobs[0], name
@@ -236,7 +234,6 @@ def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: l
         page.get_by_role("region", name="Audit by question").wait_for()
         sentence = client.job(jobs[0]).audit(progress=False).attrs["sentence"]
         assert page.get_by_text(f"{sentence}.").is_visible()
-        screenshot(page, "audit")
 
 
 def _as_python(text: str) -> Any:
@@ -257,7 +254,6 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         page.locator(".readout .entry", has_text="sweep: sweep 0.2 · Ω = 0.6 · ξ = 0.2").wait_for()
         texts = page.locator(".panel .plot").inner_text()
         assert all(text in texts for text in ("Ω = 0.6", "sweep 0.05, ξ = 0.05", "sweep 0.1, ξ = 0.1"))
-        screenshot(page, "compare-overlay")
         page.get_by_label("Layout").select_option("side by side")
         assert plots.count() == 3
         page.locator(".panel .plot[data-shown]").nth(2).wait_for()
@@ -267,10 +263,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         page.keyboard.press("ArrowRight")
         for readout in page.locator(".readout").all():  # the others follow
             assert readout.inner_text().startswith("Γ = ")
-        screenshot(page, "compare-side")
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV").nth(1).click()
-        table = pandas.read_csv(download.value.path())
+        table = pandas.read_csv(download(page.get_by_role("button", name="Download CSV").nth(1)))
         assert set(table.xi) == {0.1}
         page.go_back()
         page.get_by_role("button", name="Show everything").first.wait_for(state="hidden")
@@ -311,12 +304,10 @@ def test_mode_maps_are_compared_with_linked_axes(browser: Any, address: str):
         first, second = (readout.inner_text() for readout in page.locator(".readout").all())
         assert "Γ = 1.6 · Ω = 0.65" in first
         assert "Γ = 1.6 · Ω = 0.7" in second
-        screenshot(page, "compare-maps")
         page.keyboard.press("+")
         page.wait_for_function("() => location.hash.includes('x0=')")
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download CSV").nth(1).click()
-        assert len(Path(download.value.path()).read_text().splitlines()) == 1 + 3 * 13  # of the window
+        table = download(page.get_by_role("button", name="Download CSV").nth(1)).read_text()
+        assert len(table.splitlines()) == 1 + 3 * 13  # of the window
 
 
 def test_the_difference_of_two_sweeps_is_a_map_and_a_sentence(browser: Any, address: str, jobs: list[str]):
@@ -340,7 +331,6 @@ def test_the_difference_of_two_sweeps_is_a_map_and_a_sentence(browser: Any, addr
         at_rest = second.outcome.values == Outcome.AT_REST
         listed = page.locator(".legend li", has_text="at rest").count()
         assert (listed, at_rest.any()) == ((at_rest & ~same).any(), True)  # of the cells that differ
-        screenshot(page, "difference")
 
 
 def test_the_difference_of_two_lines_has_one_frequency(browser: Any, address: str):
@@ -368,13 +358,10 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.wait_for_function("() => location.hash.includes('omega=0.6003')")
         shown = float(re.findall(r"Rest ends at Γ = ([\d.]+)", page.locator(".closed").inner_text())[0])
         assert shown == pytest.approx(float(threshold(0.6003, 0.05)), rel=1e-3)
-        screenshot(page, "explore")
         events = closed_form_events(0.6003, 0.05)
         rows = page.locator("table tbody tr")
         wait_for(lambda: rows.count() == len(events))
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download table as CSV").click()
-        table = pandas.read_csv(download.value.path())
+        table = pandas.read_csv(download(page.get_by_role("button", name="Download table as CSV")))
         assert table["Γ"].tolist() == pytest.approx(events, rel=1e-6)
         plot = page.locator(".panel .plot")
         plot.focus()
@@ -420,9 +407,7 @@ def test_files_tell_where_they_come_from(browser: Any, address: str, jobs: list[
         wait_shown(page, along="gamma")
 
         def saved(label: str) -> bytes:
-            with page.expect_download() as download:
-                page.get_by_role("button", name=f"Download {label}", exact=True).click()
-            return Path(download.value.path()).read_bytes()
+            return download(page.get_by_role("button", name=f"Download {label}", exact=True)).read_bytes()
 
         with Image.open(io.BytesIO(saved("PNG"))) as image:
             image.load()

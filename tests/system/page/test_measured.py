@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from browser import DROP, needs_chromium, open_tab, opened, picture, screenshot, wait_shown
+from browser import DROP, download, needs_chromium, open_tab, opened, picture, wait_shown
 from scripted import wait_for
 from served import done
 from studies import spec_of
@@ -53,23 +53,18 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         assert f"median residual {np.median(off):.2g} rad, largest 0.03 rad" in said.inner_text()
         assert page.locator(".panel > aside .problem").first.is_hidden()
         page.locator(".downloads", has_text="SVG and PDF lack the measured points.").wait_for()
-        screenshot(page, "measured", whole=False)
-        page.emulate_media(color_scheme="dark")
-        screenshot(page, "measured-dark", whole=False)
         open_tab(page, "Thresholds")
         wait_shown(page, xi=0.05)
         assert said.is_hidden()
         page.evaluate(DROP, ["thresholds.csv", "omega,gamma\n0.6,0.7\n"])
         text = "thresholds.csv: 1 of 1 point where computed ones are shown, median residual 0."
         page.locator(".measured", has_text=text).wait_for()
-        screenshot(page, "measured-thresholds", whole=False)
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Download a page to share").click()
-        download.value.save_as(tmp_path / "shared.html")
+        shared = download(page.get_by_role("button", name="Download a page to share"))
+        shared = shared.rename(tmp_path / shared.name)  # closed with the page, it is gone
         open_tab(page, "Diagram")  # the page keeps them
         said.get_by_role("button", name="remove").click()
         said.wait_for(state="hidden")
-    with opened(browser, f"{(tmp_path / 'shared.html').as_uri()}", offline=True) as page:
+    with opened(browser, f"{shared.as_uri()}", offline=True) as page:
         page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points").wait_for()
         open_tab(page, "Thresholds")
         page.locator(".measured", has_text="thresholds.csv: 1 of 1 point").wait_for()

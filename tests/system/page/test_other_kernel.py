@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from browser import chromium, needs_chromium, opened, reopen, screenshot, wait_shown
+from browser import chromium, needs_chromium, opened, reopen, wait_shown
 from earlier_kernel import IDS, earlier_folder
 from scripted import Held
 from served import service_at
@@ -26,7 +26,6 @@ def test_the_page_says_which_kernel_computed_a_sweep_and_follows_to_its_replacem
         new = client.job(interrupted).replaced_by
         wait_shown(page, omega=0.5)  # the results of then are drawn
         assert page.locator("header.job .notice:not(.settling)").inner_text() == f"{NOTICE}."
-        screenshot(page, "other-kernel")
         page.goto(f"{address}/#/")
         rows = page.locator(".jobs li")
         rows.nth(3).wait_for()

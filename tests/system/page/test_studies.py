@@ -6,7 +6,7 @@ from typing import Any
 
 import httpx2
 import pytest
-from browser import needs_chromium, open_tab, opened, picture, screenshot, wait_shown
+from browser import download, needs_chromium, open_tab, opened, picture, wait_shown
 from scripted import DEADLINE, wait_for
 from served import done
 from studies import spec_of
@@ -62,11 +62,9 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         assert float(shown[1]) == pytest.approx(100 * share, rel=0.05)
         assert page.get_by_label("Count flights above").count() == 0
         plain = picture(page)
-        screenshot(page, "modes-adaptive")
         page.get_by_label("Show which cells were computed").check()
         wait_for(lambda: picture(page) != plain)
         page.locator(".downloads", has_text="SVG and PDF lack the marks of computed cells.").wait_for()
-        screenshot(page, "modes-computed")
         page.get_by_label("Show which cells were computed").uncheck()
         plot = page.locator(".panel .plot")
         plot.focus()
@@ -88,7 +86,6 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         assert 0.3 < spec["gamma"]["start"] < spec["gamma"]["stop"] < 4.2
         wait_shown(page, xi=0.05)
         page.locator(".panel .note", has_text="Adaptive map").wait_for()
-        screenshot(page, "modes-window")
         page.get_by_role("link", name="window of another sweep").click()
         page.locator("#bar h1", has_text=re.compile("^An adaptive map$")).wait_for()
 
@@ -130,15 +127,13 @@ def test_a_start_is_read_and_seen_to_move(browser: Any, address: str):
         assert "let go" in about
         assert page.locator(".trajectory h2").inner_text() == "Trajectory of a drop"
         wait_for(lambda: "cell=" in page.evaluate("location.href"))
-        screenshot(page, "basins")
         with opened(browser, page.evaluate("location.href")) as again:  # the address shows the same start
             again.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
             assert again.locator(".trajectory header .note").inner_text() == about
             again.set_viewport_size({"width": 390, "height": 844})  # of a phone
             assert again.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        with page.expect_download() as download:
-            page.locator(".panel").get_by_label("Download NetCDF").click()
-        assert download.value.suggested_filename == "where-drops-lead-basin.nc"
+        saved = download(page.locator(".panel").get_by_label("Download NetCDF"))
+        assert saved.name == "where-drops-lead-basin.nc"
         page.locator("#slider-gamma").fill("0")  # another cell
         wait_shown(page, gamma=0.6)
         assert "at rest" in page.locator(".panel .legend").inner_text()
@@ -178,7 +173,6 @@ def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, ad
         page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
         assert page.locator(".trajectory h2").inner_text() == "Trajectory of an attractor"
         wait_for(lambda: "cell=" in page.evaluate("location.href"))
-        screenshot(page, "attractors")
         page.set_viewport_size({"width": 390, "height": 844})  # of a phone
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
@@ -197,9 +191,6 @@ def test_the_map_says_where_several_coexist(browser: Any, address: str, job: str
         assert "attractor 1" in page.locator(".panel .readout").inner_text()
         page.keyboard.press("Enter")
         page.locator(".trajectory .readout", has_text="in 16 plate periods").wait_for()
-        with page.expect_download() as download:
-            page.get_by_label("Download CSV").first.click()
-        assert download.value.suggested_filename == "what-coexists-attractor-map.csv"
+        assert download(page.get_by_label("Download CSV").first).name == "what-coexists-attractor-map.csv"
         page.locator(".panel .plot").press("+")
         page.locator(".downloads", has_text="hold everything, not only what is shown").wait_for()
-        screenshot(page, "attractor-map")
