@@ -1,4 +1,4 @@
-"""An HTTP server that gives the answers of a script, and records what it is asked."""
+"""An HTTP server that gives the answers of a script, or those of paths, and records what it is asked."""
 
 import json
 import socket
@@ -37,9 +37,10 @@ class Answer:
 
 
 class Server(HTTPServer):
-    """Gives the answers of a script one by one, and records the requests."""
+    """Gives the answers of a script one by one, or each path its own, and records the requests."""
 
     script: list[Answer | None]
+    contents: dict[str, Answer] | None
     requests: list[tuple[str, str, dict[str, str]]]
     when: list[float]
 
@@ -51,7 +52,8 @@ class Handler(BaseHTTPRequestHandler):
         self.rfile.read(int(self.headers.get("Content-Length", 0)))
         self.server.requests.append((self.command, self.path, dict(self.headers)))
         self.server.when.append(time.monotonic())
-        answer = self.server.script.pop(0)
+        contents = self.server.contents
+        answer = self.server.script.pop(0) if contents is None else contents.get(self.path, Answer(404))
         if answer is LOST:
             self.connection.shutdown(socket.SHUT_RDWR)
             return
@@ -67,10 +69,12 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def scripted(*script: Answer | None) -> Iterator[tuple[Server, Client]]:
+def scripted(
+    *script: Answer | None, contents: dict[str, Answer] | None = None
+) -> Iterator[tuple[Server, Client]]:
     """A server that gives these answers, all of which must be used at the end, and a client."""
     with Server(("127.0.0.1", 0), Handler) as server:
-        server.script, server.requests, server.when = list(script), [], []
+        server.script, server.contents, server.requests, server.when = list(script), contents, [], []
         thread = threading.Thread(target=server.serve_forever, args=(0.01,))
         thread.start()
         try:

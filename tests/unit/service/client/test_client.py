@@ -153,11 +153,6 @@ def test_specifications_are_mapped_to_jobs_few_at_once(client: Client):
         next(client.map(specs, at_once=0))
 
 
-def test_several_jobs_are_waited_for_together(client: Client):
-    jobs = [client.submit(SPEC | {"gamma": [1.2, 1.3 + 0.01 * i]}) for i in range(3)]
-    assert {job.state for job in client.as_completed(jobs)} == {"done"}
-
-
 def test_a_failed_job_says_why(tmp_path: Path):
     script = {0: [ValueError("the roof fell in")] * 99}
     with serving(tmp_path, Scripted(script), failed_chunks=1) as client:
