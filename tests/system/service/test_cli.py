@@ -169,23 +169,17 @@ def test_an_incomplete_diagram_is_drawn_with_a_warning(tmp_path: Path):
 # A local service
 
 
-@pytest.mark.parametrize("how", ["variable", "named folder"])
-def test_figure_uses_a_running_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str):
+def test_figure_uses_the_service_that_runs_on_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Figure 1, which needs no sweep."""
     monkeypatch.chdir(tmp_path)
     data, target = tmp_path / "data", tmp_path / "picture.png"
     with computing_at(data, token="auto") as url, tokens.recorder(data) as record:
         record(url)
-        if how == "variable":
-            monkeypatch.setenv("BOUNCE_TOKEN", json.loads((data / "token.json").read_text())["token"])
-            result = bounce("figure", 1, "-o", target, url=url)
-        else:
-            result = bounce("figure", 1, "-o", target, "--data", data)
+        result = bounce("figure", 1, "-o", target, "--data", data)
     assert result.exit_code == 0, result.stderr
     assert target.read_bytes().startswith(b"\x89PNG")
     assert (result.stdout, f"{target}\n" in result.stderr) == ("", True)
-    if "folder" in how:
-        assert result.stderr.startswith(f"using the service at {url}, which runs on ")
+    assert result.stderr.startswith(f"using the service at {url}, which runs on ")
     assert "starting a local service" not in result.stderr
 
 

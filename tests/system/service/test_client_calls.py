@@ -8,10 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas
 import pytest
-import xarray
 from click.testing import CliRunner, Result
 from json_results import from_json
-from pyarrow import parquet
 from scripted import Held, sweep, wait_for
 from served import computing_at, service_at
 from studies import spec_of
@@ -141,16 +139,6 @@ def test_resume_and_delete(idle: Running):
     with pytest.raises(NotFound):
         job.refresh()
     assert "no job has the id" in bounce(idle, "delete", job.id).stderr
-
-
-def test_export(running: Running, tmp_path: Path):
-    running.job.export(tmp_path / "client.nc")
-    output_of(running, "export", running.job.id, "-o", str(tmp_path / "shell.parquet"))
-    stored = running.job.open().load()
-    with xarray.open_dataset(tmp_path / "client.nc", engine="h5netcdf") as dataset:
-        np.testing.assert_array_equal(dataset.flight_time, stored.flight_time)
-    assert parquet.read_table(tmp_path / "shell.parquet").num_rows == stored.outcome.size
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["client.nc", "shell.parquet"]
 
 
 def test_an_export_that_is_refused_leaves_no_file(running: Running, tmp_path: Path):
