@@ -4,25 +4,17 @@ import graphlib
 import re
 from pathlib import Path
 
-import numpy as np
-import pytest
 from fastapi.testclient import TestClient
 from scripted import Held
-from served import finished, read, service
+from served import read, service
 from studies import spec_of
 from tables import for_each
 
-from kernel.params import Outcome
 from service.api.routers import page
 
 SCRIPTS = page.FILES / "js"
 
 RAMP = spec_of((0.4, 1.2, 81), 0.6, 0.05, ramp="both", window=(120, 30))
-
-
-@pytest.fixture(scope="module")
-def ramp(client: TestClient) -> str:
-    return finished(client, RAMP)
 
 
 # Files
@@ -72,33 +64,12 @@ def test_the_scripts_do_not_import_each_other_in_cycles():
     graph.prepare()  # raises CycleError
 
 
-def test_the_scripts_know_the_kernel_s_outcome_codes():
-    listed = re.search(r"OUTCOME = \{ (.*?) \}", (SCRIPTS / "lib" / "physics.js").read_text())
-    assert listed
-    codes = {name.upper(): int(code) for name, code in (pair.split(": ") for pair in listed[1].split(", "))}
-    assert codes == {outcome.name.replace("_", ""): outcome.value for outcome in Outcome}
-
-
 def test_files_outside_the_folder_are_not_served(client: TestClient):
     for path in ("/static/../page.py", "/static/%2e%2e/page.py", "/static/js/..%2f..%2fpage.py"):
         assert client.get(path).status_code == 404
 
 
 # The trajectory of a cell
-
-
-@pytest.mark.parametrize(("direction", "bounces"), [("up", False), ("down", True)])
-def test_the_trajectory_of_a_ramp_cell_starts_from_its_stored_state(
-    client: TestClient, ramp: str, direction: str, bounces: bool
-):
-    """At Γ = Ω = 0.6, ξ = 0.05 the spring rests on the ramp up and bounces on the ramp down."""
-    found = read(client, f"{ramp}/trajectory", gamma=0.6, direction=direction, periods=10)
-    assert found.in_flight.any() == bounces
-    if bounces:
-        stored = read(client, f"{ramp}/diagram", along="gamma", direction=direction)
-        known = stored.flight_time.sel(gamma=0.6, method="nearest").values
-        for time in found.flight_time.values:
-            assert np.nanmin(np.abs(known - time)) < 1e-4
 
 
 def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):

@@ -30,7 +30,6 @@ from service.settings import Settings
 from worker import store
 from worker.executors.base import ClusterState
 from worker.executors.inline import Inline
-from worker.spec.errors import SpecTooLarge
 from worker.studies import parse, study_of
 from worker.study import Chunk, ChunkReport
 from worker.sweep import SweepSpec
@@ -251,17 +250,6 @@ def test_without_workers_a_cancelled_job_ends_at_once(tmp_path: Path):
 
 
 # Limits
-
-
-@pytest.mark.parametrize("limit", [{"max_cells": 59}, {"max_bytes": 1000}, {"max_core_seconds": 0.01}])
-def test_a_sweep_that_is_too_large_is_refused_before_anything_is_made(
-    tmp_path: Path, inline: Inline, limit: dict[str, int]
-):
-    with running(tmp_path, inline, **limit) as service:
-        with pytest.raises(SpecTooLarge, match="at most"):
-            service.submit(sweep())
-        with service.ledger.reading() as ledger:
-            assert ledger.search() == []
 
 
 def test_waiting_takes_no_processor_time(tmp_path: Path):

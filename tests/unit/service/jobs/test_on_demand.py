@@ -45,17 +45,6 @@ def pending(cache: OnDemandCache, key: str, parts: list[Any]) -> None:
         cache.get(key, parts)
 
 
-def test_a_request_that_gives_up_waiting_loses_nothing():
-    pool, cache = started()
-    for number in (0, 1):
-        with pytest.raises(Pending) as pending:
-            cache.get("key", TWO)
-        assert (pending.value.done, pending.value.total) == (number, 2)
-        pool.futures[number].set_result(number)
-    assert cache.get("key", TWO) == [0, 1]
-    assert len(pool.futures) == 2
-
-
 def test_a_result_that_nobody_asks_for_any_more_is_given_up(monkeypatch: pytest.MonkeyPatch):
     now = [100.0]
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))

@@ -163,18 +163,6 @@ def test_what_is_no_ledger_is_not_restored(folder: Path):
         file.write_bytes(b"not a database " * 999)
 
 
-def test_after_a_restore_new_jobs_meet_no_store_of_the_jobs_that_are_lost(folder: Path, inline: Inline):
-    data = folder / "data"
-    before = files(data / "stores")
-    bounce("restore", str(folder / "backup.sqlite"), "--data", str(data))
-    with running(data, inline) as service:
-        again = service.until(service.submit(SPECS[1]), JobState.DONE)
-        assert again.store == f"4-{again.id}.zarr"
-        assert len(service.unknown_stores()) == 2
-    assert before.items() <= files(data / "stores").items()
-    assert files(data / "stores" / again.store) == files(data / "stores" / f"2-{again.id}.zarr")
-
-
 def test_the_doctor_verifies_all_results_and_has_damage_computed_again(folder: Path):
     data, jobs = folder / "data", [spec.job_id(KERNEL_VERSION) for spec in SPECS]
 

@@ -96,14 +96,6 @@ def test_a_parameter_outside_the_grid_is_named(
     assert rule in str(error.value)
 
 
-def test_a_sweep_ramped_both_ways_has_both_directions_unless_one_is_selected(both_ways: Stored):
-    found, down = diagram(both_ways, omega=0.6), diagram(both_ways, omega=0.6, direction="down")
-    assert found.direction.values.tolist() == ["up", "down"]
-    np.testing.assert_array_equal(found.flight_time.sel(direction="down"), down.flight_time)
-    with pytest.raises(InvalidRequest, match="direction: must be 'up' or 'down' in this sweep"):
-        diagram(both_ways, omega=0.6, direction="rest")
-
-
 def test_a_picture_is_what_is_shown(sweep: Stored):
     """Flights outside the window, and classes that are hidden, are left out; the axis has the window."""
     point, window = {"omega": 0.5, "xi": 0.26}, {"flight_start": 3.0, "flight_stop": 6.0}

@@ -43,31 +43,6 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     return plane(sweep(), tmp_path_factory.mktemp("full") / "full.zarr", None)
 
 
-MODE = Refine(by="mode", coarsest=8)
-
-
-def refined(outcome: np.ndarray, bounces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which cells of a tile are computed, and every cell's source, of cells that bounce once or never."""
-    refinement = Tile(outcome.shape, MODE)
-    arrays = outcome, np.full_like(outcome, bounces), np.full_like(outcome, bounces)
-    computed = np.zeros(outcome.shape, np.bool_)
-    while refinement.cells.size:
-        assert not computed.flat[refinement.cells].any(), "computed twice"
-        computed.flat[refinement.cells] = True
-        refinement.split(*arrays)
-    return computed, refinement.sources().reshape(outcome.shape)
-
-
-def test_a_cell_takes_the_values_of_the_nearest_corner_or_centre_of_its_block():
-    _, source = refined(np.full((9, 9), Outcome.PERIODIC), 1)
-    vertices = {(0, 0), (0, 8), (4, 4), (8, 0), (8, 8)}
-    for cell in np.ndindex(9, 9):
-        taken = tuple(int(i) for i in divmod(source[cell], 9))
-        assert taken in vertices
-        nearest = min((cell[0] - row) ** 2 + (cell[1] - column) ** 2 for row, column in vertices)
-        assert (cell[0] - taken[0]) ** 2 + (cell[1] - taken[1]) ** 2 == nearest
-
-
 def island(rows: int, columns: int) -> np.ndarray:
     """Kinds of cells: a disc, a thin tongue from it to the right, and a corner of another kind."""
     row, column = np.ogrid[:rows, :columns]
@@ -97,18 +72,6 @@ def test_the_same_tile_is_always_refined_the_same_way(by: str, coarsest: int, ex
         tile.split(outcomes, kinds, kinds % 2 + 1)
     sources = tile.sources().astype("<i8")
     assert [rounds, hashlib.sha256(sources.tobytes()).hexdigest()[:16]] == expected
-
-
-@pytest.mark.parametrize("without", [Outcome.APERIODIC, Outcome.SETTLING])
-def test_a_block_without_a_mode_is_filled_only_if_nine_samples_agree(without: Outcome):
-    outcome = np.full((9, 9), without)
-    computed, _ = refined(outcome, 0)
-    nine = np.zeros((9, 9), np.bool_)
-    nine[::4, ::4] = True
-    assert np.array_equal(computed, nine)
-    outcome[2:6, 7:] = Outcome.PERIODIC  # an island that the corners and the centre miss
-    _, source = refined(outcome, 0)
-    assert np.array_equal(outcome.flat[source], outcome)
 
 
 @pytest.mark.parametrize("by", ["mode", "bouncing"])

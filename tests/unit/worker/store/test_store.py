@@ -57,20 +57,6 @@ def record_of(spec: SweepSpec, chunk: Chunk, seed: int = 0) -> dict[str, np.ndar
     return {array.name: some(array) for array in schema.arrays(spec)}
 
 
-def test_a_reader_without_text_finds_directions_as_numbers(url, spec):
-    with xr.open_zarr(url) as dataset:
-        code = dataset["direction_code"]
-        assert (code.dims, code.dtype) == (("direction",), np.uint8)
-        meanings = dict(
-            zip(np.atleast_1d(code.attrs["flag_values"]), code.attrs["flag_meanings"].split(), strict=True)
-        )
-        assert [meanings[value] for value in code.values] == dataset.direction.values.tolist()
-        assert "direction_code" in dataset.outcome.coords
-    others = (name for name in zarr.open_group(url, mode="r") if name != "direction")
-    types = {json.loads((Path(url) / name / "zarr.json").read_text())["data_type"] for name in others}
-    assert types <= {"float64", "int32", "uint8"}  # of the specification's own
-
-
 def test_a_store_of_time_steps_states_their_limit(tmp_path):
     """The longest step of any cell, and the shortest that is unstable in one."""
     spec = SweepSpec(gamma=[1.0, 2.0], omega=[0.1, 3.0], xi=[0.1, 20.0], model={"kind": "stepped"})
