@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import partial
 from http.client import HTTPConnection
+from multiprocessing import active_children
 from pathlib import Path
 
 import psutil
@@ -86,10 +87,10 @@ def hold(megabytes: int) -> int:
 
 
 def test_a_process_that_dies_idle_is_replaced(processes: Processes):
-    process = psutil.Process(processes.run(os.getpid))
-    process.kill()
-    wait_for(lambda: process.status() == psutil.STATUS_ZOMBIE)
-    assert processes.run(os.getpid) != process.pid
+    pid = processes.run(os.getpid)
+    os.kill(pid, signal.SIGKILL)
+    wait_for(lambda: pid not in [child.pid for child in active_children()])  # all its threads have ended
+    assert processes.run(os.getpid) != pid
 
 
 def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
