@@ -711,6 +711,7 @@ def test_exponents_are_drawn_below_the_diagram(browser: Any, address: str):
         below.wait_for()
         wait_for(lambda: colours(page, ".plot + .plot canvas") > 2)
         assert "λ₁ per plate period" in below.inner_text()
+        assert page.pdf(format="A4").count(b"/Type /Page\n") == 1  # an empty sheet came before both plots
         page.get_by_text("Table of what is shown").click()
         rows = table_of(page)
         stored = httpx2.get(f"{address}/v1/jobs/{job}/diagram", timeout=DEADLINE).json()["data_vars"]
