@@ -94,7 +94,7 @@ def _fields(schemas: Mapping[str, Any]) -> str:
             f"<td>{'required' if field in required else _default(value)}</td></tr>"
             for field, value in schema.get("properties", {}).items()
         )
-        about = escape(schema.get("description", "").split("\n\n")[0])
+        about = _prose(schema.get("description", "").split("\n\n")[0])
         head = "" if name == "SweepSpec" else f'<h3 id="{name}">{name}</h3><p>{about}</p>'
         if rows:
             tables.append(f"{head}{_table(f'Fields of {name}', rows, ('field', 'value', 'default'))}")
@@ -145,7 +145,7 @@ def _operation(method: str, path: str, operation: Mapping[str, Any], schemas: Ma
     name = f"{method.upper()} {path}"
     return (
         f'<h2 id="{_anchor(method, path)}">{escape(name)}</h2>'
-        f"<p><strong>{escape(operation['summary'])}.</strong> {escape(operation.get('description', ''))}</p>"
+        f"<p><strong>{escape(operation['summary'])}.</strong> {_prose(operation.get('description', ''))}</p>"
         f"{_table(name, ''.join(rows))}"
     )
 
@@ -157,13 +157,18 @@ def _rows(operation: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[
         options = [option for option in schema.get("anyOf", [schema]) if option.get("type") != "null"]
         value = _value({"anyOf": [schemas[_name(part)] if "$ref" in part else part for part in options]})
         default = f"default {_default(schema)}" if schema.get("default") is not None else ""
-        description = escape(parameter.get("description") or schema.get("description") or "")
+        description = _prose(parameter.get("description") or schema.get("description") or "")
         yield parameter["name"], "; ".join(filter(None, [value, default, description]))
     if "requestBody" in operation:
         ((kind, content),) = operation["requestBody"]["content"].items()
         models = content["schema"].get("oneOf", [content["schema"]])
         yield "body", f"{kind}: {' or '.join(map(_name, models))}"
     yield "status", ", ".join(sorted(operation["responses"]))
+
+
+def _prose(text: str) -> str:
+    """A text of the API document in HTML: only paragraphs and items end lines, and code is in backquotes."""
+    return re.sub("`([^`]+)`", r"<code>\1</code>", re.sub(r"(?<!\n)\n *(?![\n -])", " ", escape(text)))
 
 
 def _name(reference: Mapping[str, Any]) -> str:

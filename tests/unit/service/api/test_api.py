@@ -95,3 +95,5 @@ def test_the_page_of_endpoints_loads_nothing_from_other_hosts(client: TestClient
     assert "style-src 'self'" in answer.headers["Content-Security-Policy"]
     for text in ("POST /v1/jobs", "Fields of SweepSpec", "micro_flight", '"xi": [', "Fields of Ramp"):
         assert text in answer.text
+    assert "is the estimated cost. With <code>budget</code> levels" in answer.text
+    assert "`" not in answer.text
