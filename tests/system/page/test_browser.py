@@ -1036,7 +1036,11 @@ def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(showin
 
 
 def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, address: str):
-    job = done(address, spec_of((1.0, 2.4, 57), (0.45, 0.6, 16), 0.26, name="Margins"))
+    margins = spec_of((1.0, 2.4, 57), (0.45, 0.6, 16), 0.26, name="Margins")
+    job, filled = done(address, margins), done(address, margins | {"refine": {"by": "mode"}})
+    with opened(browser, view(address, filled, "modes")) as page:
+        page.locator(".note", has_text="Adaptive map").wait_for()
+        assert page.get_by_label("Colour").count() == 0  # filled cells would be chequers
     with opened(browser, view(address, job, "modes")) as page:
         page.locator(".legend", has_text="(1, 1)").wait_for()
         page.get_by_label("Colour").select_option("margin of stability |μ|")
