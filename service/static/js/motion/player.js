@@ -91,9 +91,9 @@ function drawInstant(canvas, heights, phase, { canvas: { clientHeight: height },
   ctx.fillRect(middle - half, y(plate), 2 * half, 5);
   ctx.fillRect(middle - 2, y(plate), 4, 26);
   if (Number.isNaN(lower)) return;
-  // The height of a mass is that of its lower edge, so that contact with the plate is visible.
-  const lowerY = y(lower) - RADIUS;
-  const upperY = heights.isBall ? lowerY : Math.min(y(upper) - RADIUS, lowerY - 2 * RADIUS - 4);
+  // The height of a mass is that of its lower edge, so that contact with the plate is visible; at the top it stays in view.
+  const lowerY = Math.max(RADIUS + 1, y(lower) - RADIUS);
+  const upperY = heights.isBall ? lowerY : Math.max(RADIUS + 1, Math.min(y(upper) - RADIUS, lowerY - 2 * RADIUS - 4));
   if (!heights.isBall) {
     drawSpring(ctx, middle, lowerY - RADIUS, upperY + RADIUS, colours);
     disc(ctx, colours["upper-mass"], middle, upperY, RADIUS);
