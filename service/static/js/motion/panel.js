@@ -24,7 +24,7 @@ const STARTS = {
   cycle: ["a cycle", (start, job) => (hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form")],
   drop: ["a drop", ({ height, phase }) => `let go ${number(height)} above the plate at phase ${number(phase)}`],
   contact: ["a start", ({ elongation, velocity }) => `in contact, elongation ${number(elongation)}, velocity × Ω ${number(velocity)}`],
-  attractor: ["an attractor", (start) => `on the attractor that is number ${start.number} by the drops that reach it`],
+  attractor: ["an attractor", (start) => `on attractor ${start.number} by share of drops`],
 };
 
 export class TrajectoryPanel {
