@@ -1,6 +1,7 @@
 """Progress events: one ledger query at a time serves all listeners; none of them holds a thread."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Final
 
@@ -42,7 +43,7 @@ class ProgressStream:
                 return
             compiling = self._compiling(job)
             kernel = None if compiling is None else compiling.kernel
-            if revision != (revision := (*job.revision, kernel)):
+            if revision != (revision := (*job.revision(time.time()), kernel)):
                 yield job, compiling
             if job.state not in UNFINISHED:
                 return

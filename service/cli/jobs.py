@@ -105,7 +105,8 @@ def run(
     The ending of the output says what is written: the study as .zarr, .nc or .parquet, a page .html, or as
     .png, .svg, .pdf, .csv or .json what shows it: the map of a grid over gamma and omega, else the diagram,
     basin, attractors or branches. SPEC is as of "bounce submit". Interrupted, it leaves the folder
-    OUTPUT.partial, and the same command goes on there. Of a grid a diagram: -o diagram.png --along gamma --omega 0.5.
+    OUTPUT.partial, and the same command goes on there. Of a grid a diagram: -o diagram.png --along gamma
+    --omega 0.5.
     """
     from service import local
 

@@ -149,8 +149,9 @@ def get_job(
     reached = _budget_view(service.budgets.of(job_id, query.budget))
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}
     compiled = None if compiling is None else round(compiling.seconds)
-    # weak, because the estimated time left changes while the tag stays
-    tag(request, *job.revision, len(failures), notice, compiled, reached, weak=True, headers=headers)
+    # weak, because the time left changes within a step while the tag stays
+    facts = (*job.revision(time.time()), len(failures), notice, compiled, reached)
+    tag(request, *facts, weak=True, headers=headers)
     about = {"failures": failures, "notice": notice, "compiling": compiling, "budget": reached}
     return _job_response(job, 200, headers, **about)
 

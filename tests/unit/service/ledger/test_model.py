@@ -71,8 +71,12 @@ def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(f
     ],
 )  # fmt: skip
 def test_what_a_job_shows_has_another_revision_when_it_changes(change: dict[str, Any]):
-    assert record(**change).revision != record().revision
-    assert record(seconds_left=101.0).revision == record().revision
+    assert record(**change).revision(104.0) != record().revision(104.0)
+
+
+def test_what_a_job_shows_has_another_revision_when_the_time_left_has_changed_by_a_tenth():
+    job = record(seconds_left=100.0)
+    assert job.revision(104.1) == job.revision(104.0) != job.revision(115.0)
 
 
 def failures(*tries: int) -> list[Failure]:
