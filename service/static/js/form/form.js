@@ -139,6 +139,7 @@ export class SweepForm {
   #fill(spec, kind = this.edited.has("protocol") ? this.shown : kindOf(spec), isKept = (name) => this.edited.has(name)) {
     const { fields: before = {} } = this;
     const kept = this.fields ? this.#read() : {};
+    this.cost.textContent = "…"; // until this one is estimated
     this.#showKind(kind);
     for (const [name, field] of Object.entries(this.fields)) field.write((isKept(name) && name in before ? kept : spec)[name]);
     this.#onChange();
