@@ -7,18 +7,14 @@ than another are dropped. Those that may be recommended are judged at fresh poin
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kernel.params import Cell, Line
-from worker.analysis.audit import modes_differ, reference
-from worker.analysis.deviation import deviations
+from kernel.params import Cell
+from worker.analysis.audit import reference
 from worker.analysis.intervals import BELOW, ENDLESS, bounds
-from worker.analysis.model_selection import timed
-from worker.spec.time_steps import Cells
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.levels import Steps, level_indices
 from worker.sweep.schema import MODE_ARRAYS
@@ -27,9 +23,6 @@ from worker.sweep.task import run_cells
 #: Points at which all settings are compared, more points for the settings left, and fresh points for the
 #: candidates; the most candidates that keep to a tolerance.
 FIRST, MORE, FRESH, CANDIDATES = 40, 60, 100, 4
-
-#: Core-seconds for which a line of cells is repeated; a single run is too short for the clock.
-MIN_SECONDS = 0.05
 
 
 class Setting(NamedTuple):
@@ -40,15 +33,6 @@ class Setting(NamedTuple):
     seconds: float  # expected
     bytes: int  # stored, before compression
     effort: str
-
-
-class Measured(NamedTuple):
-    """A line of cells beside the same cells with another contact."""
-
-    cost: float  # core-µs per cell per plate period
-    true: Line
-    deviation: NDArray[np.float64]  # of flights (n,), rad: see `worker.analysis.deviation`
-    wrong: NDArray[np.bool_]  # whether outcome or mode differ
 
 
 class Share(NamedTuple):
@@ -110,21 +94,6 @@ def frontier(settings: Sequence[Setting], shares: Sequence[Share]) -> list[bool]
     """For each setting, whether every cheaper one shows more wrong."""
     costs = [(setting.seconds, share.share) for setting, share in zip(settings, shares, strict=True)]
     return [not any(s < seconds and w <= wrong for s, w in costs) for seconds, wrong in costs]
-
-
-def measured(spec: SweepSpec, true: SweepSpec) -> Measured:
-    """Measure a sweep along gamma against another one with the true contact."""
-    record, cost = _along_gamma(spec)
-    exact, _ = _along_gamma(true)
-    return Measured(cost, exact, deviations(exact, record, spec.micro_flight), modes_differ(exact, record))
-
-
-@lru_cache(maxsize=64)
-def _along_gamma(spec: SweepSpec) -> tuple[Line, float]:
-    gamma = spec.axis_values("gamma")
-    omega, xi = (np.full_like(gamma, spec.axis_values(axis)[0]) for axis in ("omega", "xi"))
-    [record], cost = timed(spec, [Cells(gamma, omega, xi)], MIN_SECONDS)
-    return record, cost
 
 
 def _wrong_at(
