@@ -171,11 +171,11 @@ class JobPreparer:
 
 
 def choice_of(job: JobRecord) -> ModelChoice | None:
-    """The model chosen for a job; None before the choice, and for a job that names its model."""
+    """The model chosen for a job; None before the choice, or if it names its model. Raises LedgerUnusable."""
     try:
         return None if job.choice is None else ModelChoice.model_validate_json(job.choice)
     except ValueError as error:
-        raise LedgerUnusable(f"the ledger is damaged: job {job.id}: its choice is none: {MEND}") from error
+        raise LedgerUnusable(f"the ledger is damaged: job {job.id}: its choice is invalid: {MEND}") from error
 
 
 class ModelChoices:

@@ -64,7 +64,8 @@ def admit(
 ) -> tuple[Query, Estimate]:
     """Check a query; returns it with its estimate. A picture's query is thinned to cells that can be read.
 
-    Raises InvalidRequest for a study without this result, and TooLarge, which names the `every` that fits.
+    Raises InvalidRequest for a study without this result, NotInstalled for Parquet without its library,
+    TooLarge, which names the `every` that fits, and as the view's `estimate`.
     """
     if view.study is not None and not isinstance(spec, view.study):
         names = [name for name, other in VIEWS.items() if other.study and isinstance(spec, other.study)]

@@ -107,8 +107,8 @@ class View:
     """One result, of a job or of a spring alone.
 
     `compute(study, query, *parts)`, of a spring `compute(None, query, *parts)`, returns the Dataset, with
-    the attribute `complete`. It raises InvalidRequest and `store.StoreError`. Its docstring documents the
-    HTTP operation, the client's method and the command.
+    the attribute `complete`. It raises errors of `service.errors` and `store.StoreError`. Its docstring
+    documents the HTTP operation, the client's method and the command.
     """
 
     name: str  # of the path, the client's method and the command

@@ -24,7 +24,9 @@ _ROUND: Final = 1e-12
 def bounds(
     low: int, high: int, sampled: int, population: int, *, below: float = BELOW
 ) -> tuple[float, float]:
-    """Lower and upper bound of the share of a population with a property; (0, 1) without a sample.
+    """Lower and upper bound of the share of a population with a property.
+
+    They are 0 and 1 without a sample, and both 0 without a population.
 
     low, high: number of the `sampled` members with the property, undecided ones counted as without and with
     it. population: number of members. below: probability that the upper bound is too low.

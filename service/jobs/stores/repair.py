@@ -35,7 +35,7 @@ def repair(ledger: Ledger, preparer: JobPreparer, job_id: str, damaged: Sequence
     """Repair a store in which a reader found damage, in these chunks or, without any, in its metadata.
 
     No run of the job may begin meanwhile: it would find chunks unmarked, and its new results would be removed
-    with the old ones. Raises UnknownJob, and LedgerUnavailable, also if the stores are missing.
+    with the old ones. Raises UnknownJob, LedgerUnusable, or LedgerUnavailable, also without the stores.
     """
     job = ledger.find(job_id)
     if job is None:

@@ -38,7 +38,7 @@ def test_a_job_is_parsed_once_while_it_is_one_of_those_used_last(
         ({"spec": json.dumps(small(xi=0.3).as_submitted())}, "not those of its id: restore a backup"),
         ({"chunks_total": 7}, "not those of its id"),
         ({"spec": "null"}, "this release cannot read"),
-        ({"choice": "{}"}, "its choice is none"),
+        ({"choice": "{}"}, "its choice is invalid"),
     ],
 )
 def test_a_row_that_is_not_that_of_its_id_is_never_computed_nor_read(
