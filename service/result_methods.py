@@ -120,7 +120,7 @@ class ResultMethods(Methods):
     ) -> "xarray.Dataset":
         """Where bouncing begins and ends, per Ω.
 
-        At one ξ: as the sweep's cells show it, beside Eq. 25 and the closed form. `up` and `down` are values of
+        Read from the sweep's cells at one ξ, beside Eq. 25 and the closed form. `up` and `down` are values of
         the grid, or with a `tolerance` refined by workers. They are NaN unless their status is `found`:
 
         - `below the grid`: the lowest Γ bounces already
@@ -163,10 +163,11 @@ class ResultMethods(Methods):
     ) -> "xarray.Dataset":
         """Branches of the cycles that cells settled to.
 
-        Those along an axis, on their own contact, stable and unstable, with their events. A study of orbits has
-        them stored, along Γ; of a sweep workers follow them, some seconds at most once compiled. `flight_time`
-        has all flights of a cycle that count, the longest first. `skipped` are the periodic cells from which no
-        branch was followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
+        They run along an axis, on the cells' own contact, stable and unstable, with their events. A study of
+        orbits stores them, along Γ; those of a sweep are followed by workers, within seconds once compiled.
+        `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
+        from which no branch was followed. `doubled` adds up to 12 branches of twice the period to which no cell
+        settled.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `takeoff_phase` (rad),
         `elongation` (plate amplitudes), `elongation_velocity` (plate amplitudes per rad), `impact_velocity`
@@ -231,10 +232,10 @@ class ResultMethods(Methods):
     ) -> "xarray.Dataset":
         """The motion of one cell of a job.
 
-        As it settles from rest, on its certified cycle, where the ramp left it, or on one of its attractors.
-        Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
-        start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
-        unresolved or diverged: its stored state is where the computation stopped.
+        The samples begin after it has settled from rest, on its certified cycle, where the ramp left it, or on
+        one of its attractors. Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring.
+        Flights are those that start and end within the samples. Refused for a cell of a ramp that is not
+        computed yet, or that is unresolved or diverged: its stored state is where the computation stopped.
 
         Returns a Dataset with the attribute `complete` and the variables `plate` (plate amplitudes), `z1`
         (plate amplitudes), `z2` (plate amplitudes), `velocity` (A omega), `force` (m A ω²), `in_flight`,
@@ -269,15 +270,15 @@ class ResultMethods(Methods):
 
         - `rest`, `outcome`, `mode`: cells with another answer
         - `flights`: cells at rest or periodic whose flights deviate by more than `tolerance`
-        - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided of
-          fewer than 16 flights, or where the sweep keeps fewer than 32 of more
-        - `label`: of a sweep with exponents
-        - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
+        - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided with
+          fewer than 16 flights, or where the sweep keeps only some of them, fewer than 32
+        - `label`: cells with another label, in a sweep with exponents
+        - `threshold`: thresholds on the grid with a cell that changes between rest and bouncing
         - `area`: points anywhere between the cells that are not what the nearest cell is
-        - `integrator`: of a soft contact, cells at rest or periodic that time steps, which share no closed form
-          with the kernel, do not follow within `tolerance`
+        - `integrator`: cells of a soft contact, at rest or periodic, that time steps, which share no closed
+          form with the kernel, do not follow within `tolerance`
 
-        The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
+        Lists the cells that changed, also hard ones outside the samples: corners, and cells next to another
         mode.
 
         Returns a Dataset with the attribute `complete` and the variables `sampled`, `changed`, `undecided`,
@@ -317,11 +318,11 @@ class SpringMethods(Methods):
     ) -> "xarray.Dataset":
         """Where one spring begins and ceases to bounce.
 
-        In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
-        contact's own cycles, a second or two once compiled. `down` is the lowest Γ at which bouncing
-        persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
-        `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
-        is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
+        A rigid contact without restitution has a closed form; with a `model`, workers follow the contact's own
+        cycles, in a second or two once compiled. `down` is the lowest Γ at which bouncing persists, by a rule
+        that no search contradicts from ξ = 0.04 on. `cause` is `not searched` below that damping, and
+        `unresolved` where the rule does not decide. A slow descent ends at `down` or earlier, with the cycle that
+        it is on. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
         fold. A worker computes what takes longer than a second.
 
         With `search`, for seconds to minutes, workers start from many states at 30 values of Γ, and follow the
@@ -352,8 +353,8 @@ class SpringMethods(Methods):
     ) -> "xarray.Dataset":
         """Where the springs of a grid of Ω and ξ begin and cease to bounce.
 
-        Each as `threshold` of one spring, computed by the workers. With `search`, each is searched for: `missed`
-        is the share of all starts of a basin that its search sees with 95 %.
+        Workers compute each as `threshold` of one spring. With `search`, `missed` is the share of all starts of
+        a basin that the search of a spring sees with 95 %.
 
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
         `cause`, `status`, `reason`, `missed`, `gone`, `rotation`, `rotation_error`. Waits up to `timeout`
@@ -387,16 +388,16 @@ class SpringMethods(Methods):
     ) -> "xarray.Dataset":
         """Branches of cycles of one bounce, and their events.
 
-        Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-        `gamma_max` and comes back is several pieces. In a window, between `start` and `stop` and from
-        `flight_start` to `flight_stop`, they are as smooth as all of them without. With `prove`, `event_complete`
-        says whether none is missing.
+        They are stable and unstable, in closed form, on a rigid contact without restitution. A branch that
+        leaves `gamma_max` and comes back is several pieces. Within a window, from `start` to `stop` and from
+        `flight_start` to `flight_stop`, a branch is as smooth as a whole one without it. With `prove`,
+        `event_complete` says whether all events of a kind were counted.
 
         With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
         most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
         event `stick-vanishes`, `rest`, `below-surface` or `unknown-change`, or at `cut-off`, beyond the points
-        asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`. With
-        `doubled`, up to 12 branches of twice the period, too, and `flight_time` has all flights that count, the
+        asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`.
+        `doubled` adds up to 12 branches of twice the period; `flight_time` then has all flights that count, the
         longest first.
 
         Returns a Dataset with the attribute `complete` and the variables `gamma`, `flight_time` (rad),
@@ -431,10 +432,10 @@ class SpringMethods(Methods):
     ) -> "xarray.Dataset":
         """Curves of folds, flips and other events over Ω or ξ.
 
-        Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
+        The range is of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
         fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
-        With a `model`, the folds and flips of its own cycles, which end at cusps and where the segments of a
-        cycle change.
+        With a `model` they are the folds and flips of its own cycles, and end at cusps and where the segments
+        of a cycle change.
 
         Returns a Dataset with the attribute `complete` and the variables `omega`, `xi`, `gamma`,
         `flight_time` (rad), `violations`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,

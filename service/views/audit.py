@@ -36,9 +36,9 @@ TOLERANCE: Final = 1e-3
 _PER_CELL: Final = 400
 
 _QUESTION: Final = (
-    row("sampled", ("question",), "<i4", "cells drawn; of threshold pairs of cells, of area points"),
-    row("changed", ("question",), "<i4", "of them, those that the reference changes"),
-    row("undecided", ("question",), "<i4", "of them, those whose reference does not decide"),
+    row("sampled", ("question",), "<i4", "cells drawn; for threshold pairs of cells, for area points"),
+    row("changed", ("question",), "<i4", "drawn cells that the reference changes"),
+    row("undecided", ("question",), "<i4", "drawn cells that the reference does not decide"),
     row("share", ("question",), "<f8", "share of all cells that the reference changes",
         comment="undecided cells count as unchanged"),
     row("low", ("question",), "<f8", "least share, with 99 % confidence"),
@@ -109,15 +109,15 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
 
     - `rest`, `outcome`, `mode`: cells with another answer
     - `flights`: cells at rest or periodic whose flights deviate by more than `tolerance`
-    - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided of
-      fewer than 16 flights, or where the sweep keeps fewer than 32 of more
-    - `label`: of a sweep with exponents
-    - `threshold`: thresholds on the grid of which one of both cells changes between rest and bouncing
+    - `distribution`: other cells whose quantiles of flights do, beyond their scatter; undecided with
+      fewer than 16 flights, or where the sweep keeps only some of them, fewer than 32
+    - `label`: cells with another label, in a sweep with exponents
+    - `threshold`: thresholds on the grid with a cell that changes between rest and bouncing
     - `area`: points anywhere between the cells that are not what the nearest cell is
-    - `integrator`: of a soft contact, cells at rest or periodic that time steps, which share no closed form
-      with the kernel, do not follow within `tolerance`
+    - `integrator`: cells of a soft contact, at rest or periodic, that time steps, which share no closed
+      form with the kernel, do not follow within `tolerance`
 
-    The cells that changed are listed, also hard ones looked at besides: corners, and cells next to another
+    Lists the cells that changed, also hard ones outside the samples: corners, and cells next to another
     mode.
     """
     table, sizes = table_of(parts), {name: parts[0][name] for name in audit.SIZES}
@@ -356,8 +356,8 @@ def _sentence(
         finite = deviation[np.isfinite(deviation)]
         if finite.any():  # else no cell that repeats, or only such at rest
             share, most = COVERAGES[len(finite) - 1], finite[-1]
-            rounded_up = f"{1.05 * most:.2g}"
-            sentences[-1] += f", {100.0 * share:g} % of the cells, if they repeat, by at most {rounded_up}"
+            at_most = f"deviate by at most {1.05 * most:.2g} rad"
+            sentences[-1] += f", {100.0 * share:g} % of the cells, if they repeat, {at_most}"
     area, followed = (answers["numerics"][name] for name in ("area", "integrator"))
     if area.sampled:
         drawn = f"{area.changed} of {area.sampled} drawn"

@@ -190,7 +190,7 @@ def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     try:
         followed = Estimate({}) if branches is None else branches[0].estimate(spec, branches[1])
     except InvalidRequest as error:
-        raise InvalidRequest.of("branches", f"are not to be had: {error}") from error
+        raise InvalidRequest.of("branches", f"are not available: {error}") from error
     directions = selection.directions_of(spec, query.direction)
     lengths = {query.along: len(_window(spec, query)), "flight": spec.keep}
     if len(directions) > 1:

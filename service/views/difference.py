@@ -33,7 +33,7 @@ _MOVED: Final = tuple(
 )
 
 
-#: Percent, of four digits, and rounding to two, for statements that hold.
+#: The largest percentage of four digits below all, and rounding up to two digits: sentences must hold.
 _LESS_THAN_ALL: Final = 99.99
 _UPWARDS: Final = Context(prec=2, rounding=ROUND_CEILING)
 
@@ -171,7 +171,7 @@ def _sentence(
     known: cells that are computed in both. shared: omegas that both have.
     """
     if not known.any():
-        return "No cell of both is computed yet."
+        return "No cell is computed in both yet."
     away = np.concatenate([*moved.values(), []])
     most = np.max(away, where=np.isfinite(away), initial=-1.0)
     bound = _UPWARDS.create_decimal(f"{most:.9g}").normalize()  # without the rounding of a difference

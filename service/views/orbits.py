@@ -20,8 +20,8 @@ from service.views.springs.branches import (
     OF_POINT,
     ROWS,
     below,
-    closed_form,
     columns,
+    cycle_result,
     event_columns,
     of_branches,
     padded,
@@ -109,10 +109,11 @@ def compute(
 ) -> xarray.Dataset:
     """Branches of the cycles that cells settled to.
 
-    Those along an axis, on their own contact, stable and unstable, with their events. A study of orbits has
-    them stored, along Γ; of a sweep workers follow them, some seconds at most once compiled. `flight_time`
-    has all flights of a cycle that count, the longest first. `skipped` are the periodic cells from which no
-    branch was followed. With `doubled`, up to 12 branches of twice the period to which no cell settled, too.
+    They run along an axis, on the cells' own contact, stable and unstable, with their events. A study of
+    orbits stores them, along Γ; those of a sweep are followed by workers, within seconds once compiled.
+    `flight_time` has all flights of a cycle that count, the longest first. `skipped` are the periodic cells
+    from which no branch was followed. `doubled` adds up to 12 branches of twice the period to which no cell
+    settled.
     """
     if isinstance(study.spec, OrbitsSpec):
         return _stored_branches(study, query)
@@ -129,7 +130,7 @@ def compute(
     coords |= {axis: coordinate(axis, point.value) for axis, point in fixed.items() if axis != "gamma"}
     coords |= {"direction": coordinate("direction", directions[0])} if len(directions) == 1 else {}
     about = {"model": name_of(contact_of(study.spec)), "along": query.along}
-    return closed_form(data, coords, study.complete, **about, gamma_max=query.gamma_max or GAMMA_MAX)
+    return cycle_result(data, coords, study.complete, **about, gamma_max=query.gamma_max or GAMMA_MAX)
 
 
 def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> xarray.Dataset:
@@ -153,7 +154,7 @@ def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> 
     events |= {axis: np.full(int(shown.sum()), point.value) for axis, point in spring.items()}
     data = padded(OF_POINT, pieces) | columns("event", events)
     coords = of_branches(pieces) | {axis: coordinate(axis, point.value) for axis, point in spring.items()}
-    return closed_form(data, coords, study.is_complete(x["outcome"]), gamma_max=top)
+    return cycle_result(data, coords, study.is_complete(x["outcome"]), gamma_max=top)
 
 
 def estimate(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:

@@ -49,7 +49,7 @@ class PlanQuery(Query):
     seed: Annotated[int, Field(ge=0, lt=2**63, description="of the pilot points")] = 0
 
     @property
-    def kept(self) -> float | None:
+    def limit(self) -> float | None:
         """The tolerance, or its default without a budget."""
         return TOLERANCE if self.tolerance is None and self.budget is None else self.tolerance
 
@@ -57,7 +57,7 @@ class PlanQuery(Query):
 def settings_of(spec: SweepSpec, pace: Callable[[SweepSpec], float | None], workers: int) -> list[Setting]:
     """The settings to compare, the most thorough first. Raises SpecInvalid.
 
-    pace: tells that of a sweep. workers: number of workers that share the work.
+    pace: returns that of a sweep, or None if it is not known. workers: number that share the work.
     """
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
@@ -83,7 +83,7 @@ def parts(settings: Sequence[Setting], query: PlanQuery) -> Sequence[Call]:
     if seconds > MAX_SECONDS:
         rule = f"its pilot points take about {seconds:,.0f} core-seconds, the limit is {MAX_SECONDS:g}"
         raise TooLarge(f"{rule}: a cheaper contact, such as rigid or soft, has a plan")
-    return [(plan, tuple(settings), query.budget, query.kept, query.seed)]
+    return [(plan, tuple(settings), query.budget, query.limit, query.seed)]
 
 
 def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Share], int]) -> xarray.Dataset:
@@ -105,7 +105,7 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     }
     attrs: dict[str, Any] = {"points": shares[chosen].points, "seed": query.seed, "complete": True}
     limits = [f"a budget of {query.budget:g} s"] if settings[chosen].seconds > (query.budget or inf) else []
-    limits += [f"a tolerance of {query.kept:g}"] if shares[chosen].high > (query.kept or 1.0) else []
+    limits += [f"a tolerance of {query.limit:g}"] if shares[chosen].high > (query.limit or 1.0) else []
     if limits:
         attrs["note"] = f"no setting surely keeps to {' and '.join(limits)}; the nearest is recommended"
     return dataset(variables(_ROWS, data), {}, attrs)

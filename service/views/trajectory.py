@@ -206,7 +206,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     """The motion of a cell: after `settle` periods from rest, from its start, or from a state (6,).
 
     state: in the cell's units, as STATE_FIELDS. Raises InvalidRequest if the cell does not settle, or has no
-    such cycle.
+    such cycle; NotInstalled for a proof without its library.
     """
     cell = Cell(spec.gamma, spec.omega, spec.xi)
     gamma, omega, xi = (np.array([value]) for value in cell)
@@ -292,17 +292,17 @@ _Spec = SweepSpec | BasinSpec | MultistabilitySpec
 def compute(study: selection.Stored[_Spec], query: TrajectoryQuery) -> xarray.Dataset:
     """The motion of one cell of a job.
 
-    As it settles from rest, on its certified cycle, where the ramp left it, or on one of its attractors.
-    Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring. Flights are those that
-    start and end within the samples. Refused for a cell of a ramp that is not computed yet, or that is
-    unresolved or diverged: its stored state is where the computation stopped.
+    The samples begin after it has settled from rest, on its certified cycle, where the ramp left it, or on
+    one of its attractors. Lengths are in plate amplitudes; the attribute `rest_length` is that of the spring.
+    Flights are those that start and end within the samples. Refused for a cell of a ramp that is not
+    computed yet, or that is unresolved or diverged: its stored state is where the computation stopped.
     """
     selection.check_kernel(study)
     return motion(_cell(study.spec, query), _start(study, query))
 
 
 def estimate(spec: _Spec, query: TrajectoryQuery) -> Estimate:
-    """All samples. Raises InvalidRequest if the job lacks the cell or the attractor."""
+    """All samples. Raises InvalidRequest for a cell that the job lacks, or without `attractor`; TooLarge."""
     cell = _cell(spec, query)
     seconds, samples = _seconds(cell), cell.periods * cell.samples + 1
     return Estimate({"phase": samples}, memory=samples * BYTES_PER_SAMPLE, seconds=seconds, small=False)

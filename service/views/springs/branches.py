@@ -133,11 +133,11 @@ def of_branches(records: Sequence[Branch]) -> dict[str, xarray.Variable]:
     return {**columns("branch", lengths), "points": points}
 
 
-def closed_form(
+def cycle_result(
     data: Mapping[str, xarray.Variable], coords: Mapping[str, xarray.Variable], complete: bool = True,
     model: str = IDEAL, along: str = "gamma", **attrs: Any,
 ) -> xarray.Dataset:  # fmt: skip
-    """A result on branches or curves, with the attributes of all of them."""
+    """The Dataset of branches or curves, with the attributes that all of these have."""
     part = xarray.Variable(("part",), np.array(["real", "imaginary"]))
     varies = {} if along == "gamma" else {"along": along}
     return dataset(data, {**coords, "part": part}, {"model": model, **varies, **attrs, "complete": complete})

@@ -11,7 +11,7 @@ from kernel.cycles.curves import Curves, Parameter, curves
 from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, legend_beside, values_at
-from service.views.springs.branches import EVENTS, ROWS, below, closed_form, columns, event_columns, padded
+from service.views.springs.branches import EVENTS, ROWS, below, columns, cycle_result, event_columns, padded
 from service.views.springs.queries import (
     ContactQuery,
     GammaMax,
@@ -93,10 +93,10 @@ def parts(study: None, query: CurvesQuery) -> Sequence[Call]:
 def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     """Curves of folds, flips and other events over Ω or ξ.
 
-    Over a range of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
+    The range is of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
     fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
-    With a `model`, the folds and flips of its own cycles, which end at cusps and where the segments of a
-    cycle change.
+    With a `model` they are the folds and flips of its own cycles, and end at cusps and where the segments
+    of a cycle change.
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max
@@ -109,7 +109,7 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     coords |= {other: coordinate(other, fixed)}
     contact = query.contact()
     model = IDEAL if contact is None else name_of(contact)
-    return closed_form(data, coords, model=model, along=str(along), gamma_max=top)
+    return cycle_result(data, coords, model=model, along=str(along), gamma_max=top)
 
 
 def estimate(spec: None, query: CurvesQuery) -> Estimate:

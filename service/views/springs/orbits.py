@@ -22,8 +22,8 @@ from service.views.springs.branches import (
     OF_POINT,
     ROWS,
     below,
-    closed_form,
     columns,
+    cycle_result,
     event_columns,
     of_branches,
     padded,
@@ -122,16 +122,16 @@ def compute(
 ) -> xarray.Dataset:
     """Branches of cycles of one bounce, and their events.
 
-    Stable and unstable ones, in closed form, of the rigid contact without restitution. A branch that leaves
-    `gamma_max` and comes back is several pieces. In a window, between `start` and `stop` and from
-    `flight_start` to `flight_stop`, they are as smooth as all of them without. With `prove`, `event_complete`
-    says whether none is missing.
+    They are stable and unstable, in closed form, on a rigid contact without restitution. A branch that
+    leaves `gamma_max` and comes back is several pieces. Within a window, from `start` to `stop` and from
+    `flight_start` to `flight_stop`, a branch is as smooth as a whole one without it. With `prove`,
+    `event_complete` says whether all events of a kind were counted.
 
     With a `model`, workers follow the contact's own cycles from those of the closed form, some seconds at
     most once compiled. With rebound a branch may pass through numbers of `flights`; it also ends at the
     event `stick-vanishes`, `rest`, `below-surface` or `unknown-change`, or at `cut-off`, beyond the points
-    asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`. With
-    `doubled`, up to 12 branches of twice the period, too, and `flight_time` has all flights that count, the
+    asked for. Branches `along` omega or xi pass through the cycles that the contact has at `gamma`.
+    `doubled` adds up to 12 branches of twice the period; `flight_time` then has all flights that count, the
     longest first.
     """
     plate = query.contact()
@@ -162,7 +162,7 @@ def compute(
     if query.along != "gamma":
         data |= padded((query.along,), pieces)
     model = IDEAL if plate is None else name_of(plate)
-    return closed_form(data, coords, model=model, along=query.along, gamma_max=query.gamma_max)
+    return cycle_result(data, coords, model=model, along=query.along, gamma_max=query.gamma_max)
 
 
 #: The last branches of a process are kept.

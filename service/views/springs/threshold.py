@@ -80,11 +80,11 @@ predicted: Final = lru_cache(KEPT)(predict)
 def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Dataset:
     """Where one spring begins and ceases to bounce.
 
-    In closed form, of the rigid contact without restitution; with a `model`, by workers that follow the
-    contact's own cycles, a second or two once compiled. `down` is the lowest Γ at which bouncing
-    persists, by a rule that no search contradicts at its damping: `cause` is `not searched` below that, and
-    `unresolved` where the rule does not decide. A slow descent ends there or earlier, where the cycle that it
-    is on ends. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
+    A rigid contact without restitution has a closed form; with a `model`, workers follow the contact's own
+    cycles, in a second or two once compiled. `down` is the lowest Γ at which bouncing persists, by a rule
+    that no search contradicts from ξ = 0.04 on. `cause` is `not searched` below that damping, and
+    `unresolved` where the rule does not decide. A slow descent ends at `down` or earlier, with the cycle that
+    it is on. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
 
     With `search`, for seconds to minutes, workers start from many states at 30 values of Γ, and follow the
@@ -234,8 +234,8 @@ def grid_parts(study: None, query: GridQuery) -> Sequence[Call]:
 def compute_grid(study: None, query: GridQuery, *computed: Any) -> xarray.Dataset:
     """Where the springs of a grid of Ω and ξ begin and cease to bounce.
 
-    Each as `threshold` of one spring, computed by the workers. With `search`, each is searched for: `missed`
-    is the share of all starts of a basin that its search sees with 95 %.
+    Workers compute each as `threshold` of one spring. With `search`, `missed` is the share of all starts of
+    a basin that the search of a spring sees with 95 %.
     """
     springs = _springs(query)
     results = [compute_spring(None, spring, *computed[i :: len(springs)]) for i, spring in enumerate(springs)]
