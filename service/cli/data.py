@@ -98,10 +98,10 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
 @data_option
 @url_option
 def doctor(job: str | None, verify: bool, data: str | None, url: str) -> None:
-    """Check what the service needs; change nothing.
+    """Check what the service needs.
 
-    Exits with 1 if something needs attention. With --verify damaged results are named, and computed again at
-    the next start; while a service uses the folder they are only named.
+    Exits with 1 if something needs attention. Changes nothing without --verify, which names damaged results
+    and has them computed again at the next start; while a service uses the folder, it only names them.
     """
     from service.cli import doctor as checks
 
