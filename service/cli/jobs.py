@@ -15,10 +15,10 @@ from service.cli.options import (
     BEGAN,
     Number,
     day,
-    duration,
     format_option,
     json_option,
     output_format,
+    seconds_of,
     with_client,
     with_job,
     write_file,
@@ -35,7 +35,7 @@ ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 _budget_option: Final = click.option(
-    "--budget", type=duration, metavar="TIME",
+    "--budget", type=seconds_of, metavar="TIME",
     help="Compute the finest level that fits into this time: 90s, 5m, 1h.",
 )  # fmt: skip
 _effort_option: Final = click.option(
@@ -102,11 +102,12 @@ def run(
 ) -> None:
     """Compute a study without a service, and write it.
 
-    The ending of the output says what is written: the study as .zarr, .nc or .parquet, a page .html, or as
-    .png, .svg, .pdf, .csv or .json what shows it: the map of a grid over gamma and omega, else the diagram,
-    basin, attractors or branches. SPEC is as of "bounce submit". Interrupted, it leaves the folder
-    OUTPUT.partial, and the same command goes on there. Of a grid a diagram: -o diagram.png --along gamma
-    --omega 0.5.
+    The ending of OUTPUT selects what is written: the study (.zarr, .nc, .parquet), a page that shows it
+    (.html), or a picture or table (.png, .svg, .pdf, .csv, .json): the map of a grid over gamma and omega,
+    else the diagram, basin, attractors or branches. SPEC is as for "bounce submit". An interrupted run leaves
+    the folder OUTPUT.partial, from which the same command continues.
+
+    For a diagram of a grid: -o diagram.png --along gamma --omega 0.5
     """
     from service import local
 
@@ -133,7 +134,7 @@ def run(
 
 @click.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
-@click.option("--budget", type=duration, metavar="TIME",
+@click.option("--budget", type=seconds_of, metavar="TIME",
               help="Time that the recommended setting takes at most: 90s, 5m, 1h.")  # fmt: skip
 @click.option(
     "--tolerance", type=Number(0, 1, min_open=True, max_open=True),
@@ -145,8 +146,8 @@ def run(
 def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query: Any) -> None:
     """Show what efforts and grids of a sweep would cost.
 
-    And how much of its picture would be wrong: shares are of the plane, from pilot points that every setting
-    computes, seconds on the service's workers.
+    It also says how much of the picture each would show wrong: a share of the plane, from pilot points that
+    every setting computes. Seconds are those of the service's workers.
     """
     from service.cli.output import as_json as json_text
     from service.cli.views import table
@@ -204,8 +205,8 @@ def wait(job: "Job", timeout: float | None) -> None:
 def watch(client: "Client", interval: float) -> None:
     """Show jobs live until Ctrl-C.
 
-    They are the queued and running ones, and those that ended meanwhile. Where the output is no terminal, it
-    is one table, and the command ends.
+    Lists queued and running jobs, and those that end meanwhile. Where the output is no terminal, prints one
+    table and ends.
     """
     from rich.console import Console
     from rich.live import Live

@@ -38,7 +38,7 @@ def main() -> None:
 @click.option("--scheduler-file", type=click.Path(), help="File with the address of a Dask scheduler.")
 @click.option("--cluster", metavar="MODULE:FUNCTION", help="Function that creates the Dask cluster to use.")
 @click.option("--token", type=click.Choice([AUTO]), help="Make an access token that your own clients find. "
-              "One of your own is set as BOUNCE_TOKEN: others can see the options of a command.")  # fmt: skip
+              "Set one of your own as BOUNCE_TOKEN: others can see the options of a command.")  # fmt: skip
 @click.option("--token-file", type=click.Path(), help="File of access tokens, one NAME: TOKEN per line.")
 def serve(**options: str | int | None) -> None:
     """Run the service until SIGINT or SIGTERM.

@@ -35,8 +35,8 @@ Command = TypeVar("Command", bound=Callable[..., None])
 _UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 
 
-def duration(text: str) -> float:
-    """A time in seconds: 90, 90s, 5m, 1.5h."""
+def seconds_of(text: str) -> float:
+    """The seconds of a time written as 90, 90s, 5m or 1.5h."""
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smh]?)", text.strip())
     if match is None or float(match[1]) == 0.0:
         raise click.BadParameter(f"must be a time such as 90s, 5m or 1h, not {text!r}")
@@ -154,7 +154,7 @@ def with_client(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def with_job(function: Callable[..., None]) -> Callable[..., None]:
-    """The same with a job of the service, which the argument ID names."""
+    """As `with_client`, with the job that the argument ID names in place of the client."""
 
     @wraps(function)
     def run(client: "Client", job_id: str, **options: Any) -> None:
@@ -178,7 +178,8 @@ def format_option(*formats: str) -> Callable[[Command], Command]:
 def output_format(output: str, formats: tuple[str, ...], format: str | None = None) -> str:
     """`format`, or the one that the ending of the output file stands for.
 
-    Raises click.BadParameter for another ending, none, a folder, or none around it, before computing.
+    Raises click.BadParameter, before anything is computed, for any other ending, for a folder, and for a
+    file in a folder that does not exist.
     """
     if output == "-" and format is None:
         asks = click.get_current_context().params.get("format", "") is None

@@ -34,7 +34,7 @@ measured_points = click.option(
 )  # fmt: skip
 #: Digits of numbers in a table, fewer in a wide one: thresholds are refined to 1e-9.
 DIGITS: Final = 10
-#: Most letters of a line of a table, and of a text in it; most points of a curve.
+#: Limits on the characters of a line of a table and of a text in it, and on the points of a curve.
 WIDTH: Final = 100
 LONG: Final = 40
 POINTS: Final = 12
@@ -288,9 +288,9 @@ def share(job: "Job", output: str, data: str | None) -> None:
 @click.option("--periods", type=int, help="Plate periods to sample.  [default: 4]")
 @click.option("--samples", type=int, help="Samples per plate period.  [default: 200]")
 @click.option("--drop", type=(options.NUMBER, options.NUMBER), metavar="HEIGHT PHASE",
-              help="Let go at rest, so high (plate amplitudes), at this phase (rad).")  # fmt: skip
+              help="Let go at rest at this height (plate amplitudes) and plate phase (rad).")  # fmt: skip
 @click.option("--contact", type=(options.NUMBER, options.NUMBER), metavar="ELONGATION VELOCITY",
-              help="Start in contact: beyond the static one, velocity × Ω.")  # fmt: skip
+              help="Start in contact, elongated beyond the static length; velocity × Ω.")  # fmt: skip
 @options.format_option(*_MOTIONS)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True), required=True,
               help="File to write; - is standard output.")  # fmt: skip

@@ -122,7 +122,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     def run(self, spec: Specification, *, budget: float, progress: bool = True) -> Job:
         """Compute the finest level of a sweep that fits into `budget` seconds, waiting for workers included.
 
-        The service computes levels, sweeps from coarse to fine, one after another, also if this client goes
+        The service computes levels, sweeps from coarse to fine, one after another, even if this client goes
         away: plain jobs, whose results can be read while the next one is computed. Returns the last one that
         is done; `job.audit()` says at once how wrong it is, if the time sufficed. Raises InvalidSpecification
         if the time is too short for any level, BounceError if the service ended, and with it the budget. Also
@@ -143,9 +143,9 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         raise BounceError("the service has begun anew, which ends the budget: its levels are among the jobs")
 
     def import_shared(self, path: "str | PathLike[str]") -> Job:
-        """The sweep of a file that `Job.share` wrote as a done job of this service, the same to the last bit.
+        """Import the sweep of a file that `Job.share` wrote: a done job, the same to the last bit.
 
-        Raises BadRequest for a file that is another, damaged, or too large to hold all numbers, TooLarge,
+        Raises BadRequest for a file of another kind, a damaged one, or one without all numbers, TooLarge,
         Conflict, Busy.
         """
         with Path(path).open("rb") as file:
@@ -273,7 +273,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         specs
             As for `submit`. A long list neither fills the service's queue nor needs to be known in advance.
         at_once
-            Most jobs at the service that are not yet returned.
+            Limit on the jobs at the service that are not yet returned.
 
         Raises
         ------
@@ -341,7 +341,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         """The motion of one cell, computed during the request.
 
         `cell` contains `gamma`, `omega`, `xi`, and optionally `model`, `settle` and `periods` (plate
-        periods), `samples` per period, and `start`: a cycle of the closed form, or
+        periods), `samples` per period, and `start`: a cycle, `{"periods"}`,
         `{"kind": "drop", "height", "phase"}`, or `{"kind": "contact", "elongation", "velocity"}`. Returns a
         Dataset as `Job.trajectory`. Raises BadRequest naming the field, TooLarge, Busy.
         """

@@ -102,7 +102,7 @@ class JobStatus:
 
     @property
     def compiling(self) -> str:
-        """The kernel that is compiled before the first chunk, for how long, of the usual time; else empty."""
+        """The kernel that a worker compiles for the job, its time so far and its usual time; else empty."""
         facts = self.view.get("compiling")
         if not facts:
             return ""

@@ -33,10 +33,10 @@ MAX_CHUNK: Final = 256 * 2**20
 
 
 def open_store(transport: Transport, path: str, job_id: str, *, chunks: Any = None) -> xarray.Dataset:
-    """The store at `path` as a lazy Dataset: values are read when used. Raises StoreUnreachable.
+    """The store at `path` as a lazy Dataset: values are read when used.
 
-    chunks: as in `xarray.open_zarr`. Raises UnexpectedAnswer for a store that the service cannot have
-    written.
+    chunks: as in `xarray.open_zarr`. Raises StoreUnreachable, and UnexpectedAnswer for a store that the
+    service cannot have written.
     """
     try:
         store = HTTPStore(transport, path)
