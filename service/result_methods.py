@@ -38,7 +38,7 @@ class ResultMethods(Methods):
         flight_start: Annotated[float | None, "rad, shortest flight shown"] = None,
         flight_stop: Annotated[float | None, "rad, longest flight shown"] = None,
         hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; of a map by multiplier also multiplier-0.2 to multiplier-1"] = None,
-        caption: Annotated[bool, "of a picture: how it was computed, above it"] = True,
+        caption: Annotated[bool, "whether a picture says how it was computed"] = True,
         branches: Annotated[bool, "cycles, stable and unstable: along gamma of one bounce, up to three periods, else those that cells settled to; not in tables"] = False,
         timeout: float = 300.0,
         progress: Progress = True,
@@ -46,8 +46,8 @@ class ResultMethods(Methods):
         """The flights of the cells along an axis.
 
         A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
-        `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
-        unless all of a cell are so short. Flights that are not shown are NaN, too, and all of classes to `hide`.
+        `min_flight` are NaN and do not count for `outcome`, `bounces` and `periods`, unless a cell has no longer
+        ones. Flights outside the window, and all flights of classes to `hide`, are NaN too.
 
         Returns a Dataset with the attribute `complete` and the variables `flight_time` (rad), `takeoff_phase`
         (rad), `flights`, `bounces`, `periods`, `flight_error` (rad), `multiplier`, `multiplier_angle` (rad),
@@ -65,7 +65,7 @@ class ResultMethods(Methods):
         min_flight: Annotated[float | None, "rad; shorter flights do not count, unless all of a cell are; default: micro_flight"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
         log: Annotated[Literal["none", "x", "y", "xy"] | None, "logarithmic axes of a picture; default: those of values in equal ratios"] = None,
-        hysteresis: Annotated[bool, "of a sweep ramped both ways: where they differ"] = False,
+        hysteresis: Annotated[bool, "where up and down differ, if a sweep has both"] = False,
         color: Annotated[Literal["mode", "multiplier"], "multiplier: the margin of stability, of a sweep that certifies cells"] = "mode",
         hide: Annotated[str | None, "classes left out: at_rest and other labels, cycles as 2-fewer, 2-equal, 2-more, longer; of a map by multiplier also multiplier-0.2 to multiplier-1"] = None,
         gamma_start: float | None = None,
@@ -76,8 +76,8 @@ class ResultMethods(Methods):
         """Outcome, bounces and plate periods of every cell.
 
         The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
-        unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
-        corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
+        unless one is selected. In an adaptive map `computed` marks the computed cells, and the attribute
+        `computed_share` is their share; others have the values of the nearest corner or centre of their block.
         With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
 
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,
@@ -94,7 +94,7 @@ class ResultMethods(Methods):
         direction: Annotated[str | None, "rest, up or down; default: the first direction of the sweep"] = None,
         every: Annotated[int, "return every n-th value only"] = 1,
     ) -> "xarray.Dataset":
-        """Where two sweeps have other modes.
+        """Where the modes of two sweeps differ.
 
         Each cell of this sweep is compared with the nearest one of the `other`, if it is within its axes: by
         outcome and mode, and by label where both have exponents. Thresholds are compared at the Ω of both. The
@@ -120,8 +120,8 @@ class ResultMethods(Methods):
     ) -> "xarray.Dataset":
         """Where bouncing begins and ends, per Ω.
 
-        Read from the sweep's cells at one ξ, beside Eq. 25 and the closed form. `up` and `down` are values of
-        the grid, or with a `tolerance` refined by workers. They are NaN unless their status is `found`:
+        The answer is for one ξ, beside Eq. 25 and the closed form. `up` and `down` are values of the grid, or
+        with a `tolerance` refined by workers. They are NaN unless their status is `found`:
 
         - `below the grid`: the lowest Γ bounces already
         - `above the grid`: every cell is at rest
@@ -208,7 +208,7 @@ class ResultMethods(Methods):
         """The attractors of every cell at one ξ.
 
         They are matched from cell to cell, with births, deaths and changes of mode as events. One attractor has
-        one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only the line along Γ
+        one `id` in all cells; ids are numbered from 1 by the number of cells. `omega` selects the line along Γ
         nearest to it, with the flights of every attractor. The attribute `several` is the share of cells with two
         attractors or more, `several_by_drops` the same without attractors that no drop reaches.
 
@@ -325,9 +325,9 @@ class SpringMethods(Methods):
         it is on. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
         fold. A worker computes what takes longer than a second.
 
-        With `search`, for seconds to minutes, workers start from many states at 30 values of Γ, and follow the
-        cycles that their transients pass by, and what survives, down to the end: an upper bound at any damping,
-        with the share of starts, `missed`, that a basin must have to be seen with 95 %.
+        With `search`, workers try many starts at 30 values of Γ, for seconds to minutes. They follow the cycles
+        that transients pass by, and motions that survive, down to their ends. The lowest end is an upper bound
+        at any damping; `missed` is the share of starts that a basin must have to be seen with 95 %.
 
         Returns a Dataset with the attribute `complete` and the variables `threshold`, `jump`, `down`,
         `cause`, `status`, `reason`, `missed`, `lifetime` (plate periods), `delta`, `plate_contact` (m A² ω²),

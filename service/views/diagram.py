@@ -43,7 +43,7 @@ class DiagramQuery(Query):
     flight_start: Annotated[Number | None, Field(description="rad, shortest flight shown")] = None
     flight_stop: Annotated[Number | None, Field(description="rad, longest flight shown")] = None
     hide: Hide = None
-    caption: Annotated[bool, Field(description="of a picture: how it was computed, above it")] = True
+    caption: Annotated[bool, Field(description="whether a picture says how it was computed")] = True
     branches: Annotated[
         bool,
         Field(
@@ -105,8 +105,8 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     """The flights of the cells along an axis.
 
     A sweep ramped both ways has the dimension `direction`, unless one is selected. Flights up to
-    `min_flight` do not count, neither here, where they are NaN, nor for `outcome`, `bounces` and `periods`,
-    unless all of a cell are so short. Flights that are not shown are NaN, too, and all of classes to `hide`.
+    `min_flight` are NaN and do not count for `outcome`, `bounces` and `periods`, unless a cell has no longer
+    ones. Flights outside the window, and all flights of classes to `hide`, are NaN too.
     """
     spec, along = study.spec, query.along
     fixed, window = selection.fixed_axes(spec, query), _window(spec, query)

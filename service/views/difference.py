@@ -58,7 +58,7 @@ class DifferenceQuery(Query):
 
 
 def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarray.Dataset:
-    """Where two sweeps have other modes.
+    """Where the modes of two sweeps differ.
 
     Each cell of this sweep is compared with the nearest one of the `other`, if it is within its axes: by
     outcome and mode, and by label where both have exponents. Thresholds are compared at the Ω of both. The

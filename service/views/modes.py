@@ -61,7 +61,7 @@ class ModesQuery(Query):
     min_flight: MinFlight = None
     every: Every = 1
     log: Log = None
-    hysteresis: Annotated[bool, Field(description="of a sweep ramped both ways: where they differ")] = False
+    hysteresis: Annotated[bool, Field(description="where up and down differ, if a sweep has both")] = False
     color: Literal["mode", "multiplier"] = Field(
         "mode", description="multiplier: the margin of stability, of a sweep that certifies cells"
     )
@@ -76,8 +76,8 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
     """Outcome, bounces and plate periods of every cell.
 
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
-    unless one is selected. An adaptive map has `computed`: the other cells have the values of the nearest
-    corner or centre of their block. The attribute `computed_share` is the share of cells that were computed.
+    unless one is selected. In an adaptive map `computed` marks the computed cells, and the attribute
+    `computed_share` is their share; others have the values of the nearest corner or centre of their block.
     With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
     """
     spec, directions = study.spec, selection.directions_of(study.spec, query.direction)

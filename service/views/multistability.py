@@ -74,7 +74,7 @@ def compute(study: Stored[MultistabilitySpec], query: MultistabilityQuery) -> xa
     """The attractors of every cell at one ξ.
 
     They are matched from cell to cell, with births, deaths and changes of mode as events. One attractor has
-    one `id` in all cells; ids are numbered from 1 by the number of cells. With `omega` only the line along Γ
+    one `id` in all cells; ids are numbered from 1 by the number of cells. `omega` selects the line along Γ
     nearest to it, with the flights of every attractor. The attribute `several` is the share of cells with two
     attractors or more, `several_by_drops` the same without attractors that no drop reaches.
     """

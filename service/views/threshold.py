@@ -86,8 +86,8 @@ class ThresholdQuery(Query):
 def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed: Any) -> xarray.Dataset:
     """Where bouncing begins and ends, per Ω.
 
-    Read from the sweep's cells at one ξ, beside Eq. 25 and the closed form. `up` and `down` are values of
-    the grid, or with a `tolerance` refined by workers. They are NaN unless their status is `found`:
+    The answer is for one ξ, beside Eq. 25 and the closed form. `up` and `down` are values of the grid, or
+    with a `tolerance` refined by workers. They are NaN unless their status is `found`:
 
     - `below the grid`: the lowest Γ bounces already
     - `above the grid`: every cell is at rest

@@ -87,9 +87,9 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     it is on. Below a fold bouncing lives for `lifetime`; the energy balance is that of the cycle at the
     fold. A worker computes what takes longer than a second.
 
-    With `search`, for seconds to minutes, workers start from many states at 30 values of Γ, and follow the
-    cycles that their transients pass by, and what survives, down to the end: an upper bound at any damping,
-    with the share of starts, `missed`, that a basin must have to be seen with 95 %.
+    With `search`, workers try many starts at 30 values of Γ, for seconds to minutes. They follow the cycles
+    that transients pass by, and motions that survive, down to their ends. The lowest end is an upper bound
+    at any damping; `missed` is the share of starts that a basin must have to be seen with 95 %.
     """
     contact = query.contact()
     *before, search = computed if query.search else (*computed, None)
