@@ -3,8 +3,8 @@
     python -m benchmarks.atlas [--gamma 1000 --omega 100 --xi 10] [--workers 2] [--model soft] [--ramp]
         [--every-cycle]
 
-From rest, with `--ramp` along Gamma up and down: twice as many cells; with `--every-cycle` without early
-settling. Prints the wall time from submission to completion on warm workers, the share of kernel time, the
+From rest, with `--ramp` along Gamma up and down: twice as many cells; with `--every-cycle` in fixed
+windows. Prints the wall time from submission to completion on warm workers, the share of kernel time, the
 peak memory of every process and the size of the store.
 """
 

@@ -285,7 +285,7 @@ class Report:
 
 
 def _in_a_process(port: int, paths: list[str], costly: int) -> str:
-    """A burst of so many requests at once; its threads would make those that measure wait for Python."""
+    """A burst of this many requests at once; its threads would make those that measure wait for Python."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(_burst, port, paths, costly).result()
 

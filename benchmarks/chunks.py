@@ -72,7 +72,7 @@ def compute(name: str, url: str, chunks: int) -> None:
 
 
 def traced(name: str, chunks: int) -> Counter[str]:
-    """System calls of a process that computes so many chunks, with the paths of its store alone."""
+    """System calls of a process that computes this many chunks, with the paths of its store alone."""
     with tempfile.TemporaryDirectory() as folder:
         log, url = f"{folder}/trace", f"{folder}/sweep.zarr"
         command = [
@@ -130,7 +130,7 @@ class QuietHandler(WSGIRequestHandler):
 
 @contextmanager
 def bucket(seconds: float) -> Iterator[Counting]:
-    """A bucket `results` whose requests take so many seconds each."""
+    """A bucket `results` whose requests take this many seconds each."""
     from moto.server import DomainDispatcherApplication, create_backend_app
 
     counting = Counting(DomainDispatcherApplication(create_backend_app), seconds)
@@ -170,7 +170,7 @@ def s3() -> None:
 
 
 class Simulated:
-    """An executor of so many workers that reports each chunk at once, in a thread."""
+    """An executor of this many workers, which reports each chunk at once, in a thread."""
 
     def __init__(self, workers: int) -> None:
         self._workers, self._thread = workers, ThreadPoolExecutor(1)
@@ -197,7 +197,7 @@ class Simulated:
 
 
 def huge(chunks: int) -> SweepSpec:
-    """A sweep of about so many chunks of the default shape."""
+    """A sweep of about this many chunks of the default shape."""
     grid = {"gamma": 1000, "omega": 1000, "xi": 2}
     axes = {"gamma": (0.5, 6.0), "omega": (0.1, 5.0), "xi": (0.02, 5.0)}
 

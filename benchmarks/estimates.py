@@ -92,7 +92,7 @@ LASTS: Final = 20.0
 
 
 def finer(fields: dict[str, Any], expected: float) -> dict[str, Any]:
-    """A study with so many more values of gamma that two workers take LASTS, or all that are allowed."""
+    """A study with enough values of gamma for two workers to take LASTS, or all that are allowed."""
     gamma = fields["gamma"]
     num = min(round(gamma["num"] * 2.0 * LASTS / expected), MAX_AXIS_VALUES)
     return {**fields, "gamma": {**gamma, "num": num}}

@@ -7,7 +7,7 @@ The atlas, 1000 x --omega x 10 cells of `rigid`, 300 plate periods per cell, ove
 with warm workers, from submission to completion. For comparison, the kernel alone in one process and in two
 at once. Medians over the repetitions.
 
-`--grid`: the wall time of sweeps of 10^3 to `--largest` cells on so many workers, once each but for small
+`--grid`: the wall time of sweeps of 10^3 to `--largest` cells on `--workers`, once each but for small
 ones, as a plot and a table. More than `--largest-alone` cells, which take minutes, are computed
 by two workers, and by the most, only.
 """
@@ -47,7 +47,7 @@ def kernel_seconds(barrier: Any, lines: int, answers: Any) -> None:
 
 
 def bare(processes: int, lines: int) -> float:
-    """Wall time, s, of so many processes at once, each with all lines."""
+    """Wall time, s, of this many processes at once, each with all lines."""
     context = multiprocessing.get_context("spawn")
     barrier, answers = context.Barrier(processes), context.Queue()
     arguments = barrier, lines, answers
@@ -75,7 +75,7 @@ def sweep_seconds(client: Client, omega: int, xi: int = 10) -> float:
 
 @contextmanager
 def warmed(workers: int) -> Iterator[Client]:
-    """The client of a service with so many workers that have computed something."""
+    """The client of a service whose workers, this many, have computed something."""
     with service(workers=workers) as (client, _, _):
         warm(client)
         sweep_seconds(client, 2)
@@ -83,7 +83,7 @@ def warmed(workers: int) -> Iterator[Client]:
 
 
 def grid_seconds(workers: int, sizes: list[int]) -> list[float]:
-    """Wall times of sweeps of so many thousand cells each on so many workers, s."""
+    """Wall times, s, of sweeps of these thousands of cells on this many workers."""
     with warmed(workers) as client:
         grids = [(size // 10, 10) if size >= SEVERAL else (size, 1) for size in sizes]
         return [

@@ -29,7 +29,7 @@ MOST_KEPT: Final = 400 * 2**20
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
 IDLE_SECONDS: Final = 20.0
-#: Seconds in which a process that is told to end may compile; one that is frozen is killed then.
+#: Seconds in which a process that should end may compile; one that is frozen is killed then.
 STOP_SECONDS: Final = 60.0
 
 

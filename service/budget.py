@@ -1,4 +1,4 @@
-"""A sweep within a time: complete levels from coarse to fine, of which the last one is the answer.
+"""A sweep within a time: complete levels from coarse to fine; the last one is the answer.
 
 The first levels are small and measure the speed, and the next fills the time. A level begins only if it fits
 into the rest of the time, and is cancelled when the time is over. The time includes compiling, waiting for

@@ -117,7 +117,7 @@ class JobStatus:
     def notice(self) -> str | None:
         """That another kernel version than the service's computed the job; None if it did not.
 
-        After `resume` of such a job: that this job starts it anew.
+        After `resume` of a job of another version: that this job starts it anew.
         """
         return self.view.get("notice")
 

@@ -250,7 +250,7 @@ def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled
 
 
 def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
-    """Within which deviation COVERAGES of all cells are, rad, by a sample of those that are not certified."""
+    """The deviations, rad, within which COVERAGES of all cells lie, by a sample of the uncertified ones."""
     rest, sampled = sizes["cells"] - sizes["certified"], len(table["outcome"])
     weight = rest / sizes["cells"]
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
@@ -265,7 +265,7 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
 
 
 def _may_deviate(table: _Table) -> Any:
-    """Which cells may deviate by anything: undecided ones, and of those that repeat the unknown."""
+    """Which cells may deviate by anything: undecided ones, and repeating ones of unknown deviation."""
     repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
     return table["undecided"] | (table["unknown"] & repeating)
 
@@ -281,9 +281,9 @@ def _modes(table: _Table) -> dict[str, list[Any]]:
 
 
 def _answer(changed: Any, undecided: Any, population: int, weight: float = 1.0) -> _Answer:
-    """The answer of a sample: its cells that changed (n,), and those that are undecided (n,).
+    """The answer of a sample. changed, undecided (n,): which of its cells are.
 
-    population: cells from which it was drawn, the part `weight` of all.
+    population: number of cells from which it was drawn, the part `weight` of all.
     """
     sampled = len(changed)
     if not sampled:

@@ -219,7 +219,7 @@ def compare(
 
     up, down: `outcome`, `bounces`, `periods` (...) counted with `min_flight`, rad, and the stored
     `flight_time` (..., keep), rad, and `flights` (...). Two cells without a cycle agree, as their flights
-    never repeat; so do those of which less than a cycle is kept, which may be different parts of it.
+    never repeat; so do two that keep less than a cycle, perhaps different parts of it.
     """
     known = ~np.isin(up["outcome"], _UNKNOWN) & ~np.isin(down["outcome"], _UNKNOWN)
     same = np.logical_and.reduce([up[name] == down[name] for name in ("outcome", "bounces", "periods")])

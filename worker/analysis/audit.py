@@ -46,7 +46,7 @@ _ANY: Final = (Cell(1.0, 1.0, 1.0),)
 LONGER: Final = 10
 #: Flights of a cell that the reference keeps, at least and at most: the store may keep less than a cycle.
 FEWEST_KEPT, MOST_KEPT = 256, 4096
-#: Flights of a cell that does not repeat from which its distribution can be told.
+#: Fewest kept flights that give the distribution of a cell that does not repeat and has more.
 FEWEST_TOLD: Final = 32
 #: Relative change of a start. The cell is undecided if its answer changes with it.
 MOVED: Final = 1e-12

@@ -183,9 +183,9 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
 
 
 def _patient(spec: SweepSpec, patience: int) -> SweepSpec:
-    """The specification of a refinement's cells: they may settle for longer, and have no exponents.
+    """The specification of a refinement's cells.
 
-    They keep so many flights that hops are seen to die out.
+    They may settle for longer, have no exponents, and keep enough flights to show that hops die out.
     """
     until = max(spec.settles_until or 0, SETTLES_UNTIL, patience + spec.observe)
     return spec.model_copy(update={"keep": _FLIGHTS, "exponents": 0, "settle": "auto", "until": until})

@@ -21,7 +21,7 @@ QUANTILES: Final = np.linspace(0.05, 0.95, 19)
 SCATTERS: Final = 2.25
 #: Parts of a window whose differences give its scatter.
 PARTS: Final = 4
-#: Flights from which the scatter is told. Any two windows of fewer differ, also those of one motion.
+#: Fewest flights that give the scatter. Two windows of fewer differ even for one motion.
 FEWEST: Final = 4 * PARTS
 
 #: Outcomes whose flights are not compared. Cells still settling are compared like aperiodic ones.
@@ -33,14 +33,16 @@ _Array = NDArray[np.float64]
 def deviations(exact: Line, other: Line, micro_flight: float, fewest: int = 0) -> _Array:
     """Deviation of the flights of `other` from those of `exact` in each cell (n,), rad.
 
-    NaN if `exact` is unresolved or diverged, and where distributions would be compared of which `other` keeps
-    less than all, and fewer than `fewest`, or, with a `fewest`, has fewer than FEWEST. Infinite if only
-    `other` is, or if only one of both is at rest; 0 if both are. For two periodic cells: the largest
-    difference of the sorted flights over a common cycle; a flight without a counterpart counts with its whole
-    time. Where `other` keeps less than a cycle, `nearest`. Otherwise: the largest difference of the
-    quantiles, less the scatter of the shorter window. If that has fewer than FEWEST flights and neither cell
-    is periodic, less the range of the longer; 0 if both have fewer. Flights of at most `micro_flight`, rad,
-    are ignored unless a cell has no others.
+    Flights of at most `micro_flight`, rad, are ignored unless a cell has no others.
+
+    - `exact` unresolved or diverged: NaN; only `other`: infinite
+    - both at rest: 0; one at rest: infinite
+    - both periodic: the largest difference of the sorted flights over a common cycle, where a flight without
+      a counterpart counts with its whole time; `nearest` where `other` keeps less than a cycle
+    - others: the largest difference of quantiles, less the scatter of the shorter window; if that has fewer
+      than FEWEST flights and neither cell is periodic, less the range of the longer, or 0 if both have fewer
+    - others with a `fewest`: NaN where `other` has fewer than FEWEST flights and `exact` no cycle, or keeps
+      only a part, fewer than `fewest`
     """
     cells = range(len(exact.outcome))
     return np.array([_deviation(exact, other, i, micro_flight, fewest) for i in cells])

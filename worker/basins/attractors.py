@@ -57,7 +57,7 @@ HALVES: Final = 1.5
 #: window.
 LONG_CYCLE: Final = 20
 
-#: So many starts are expected to leave transient motion, and none does: it is none.
+#: Motion is not transient if this many starts are expected to leave it and none does.
 EXPECTED: Final = 5.0
 
 #: Transient motion is followed down to this share of all starts, if that takes at most this many times the

@@ -239,7 +239,7 @@ class _Search:
 
 
 def _standing(ends: Sequence[Reached]) -> list[list[int]]:
-    """Groups of a cell's starts of which the first runs on: those on one cycle, and each aperiodic one."""
+    """Groups of a cell's starts, whose first runs on: the starts on one cycle, and each aperiodic start."""
     cycles = [group for group in _groups(ends) if ends[group[0]].outcome == Outcome.PERIODIC]
     return sorted([*cycles, *([i] for i, end in enumerate(ends) if end.outcome == Outcome.APERIODIC)])
 

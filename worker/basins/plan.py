@@ -10,7 +10,7 @@ from worker.study.layout import bytes_of
 from worker.sweep import SweepSpec
 from worker.sweep.plan import CHUNK_SECONDS, cell_seconds, longest_seconds
 
-#: Starts of an attractor that run on, for so many windows.
+#: Starts of an attractor that run on, and the windows for which they do.
 REPRESENTATIVES, RUNS_ON = 32, 8
 
 #: Most bytes of a line, which is computed as one: a slice of it lasts seven seconds (`worker.work`).

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from worker.sweep.specification import AXES, SweepSpec
 
-#: Steps that the first level may take along an axis, and that a level within no other may. They have many
-#: divisors, as a level within another takes an integer part of its step.
+#: Steps along an axis of a level that need not contain another. They have many divisors, as a level that
+#: contains another divides its step by an integer.
 STEPS: Final = (1, 2, 3, 4, 6, 12, 24, 48, 96)
 #: A level divides the step of the one within it by up to this, or by more where that leaves an integer: a
 #: step of 24 / 7 is seven of 24 values. With integer steps alone a level may have half of the cells that fit.

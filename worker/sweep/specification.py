@@ -99,7 +99,7 @@ def _auto(value: object) -> object:
     return value
 
 
-#: Tagged, so that errors name the rule of one of both.
+#: Tagged, so that errors name the rule of one of the two.
 AutoSettle = Annotated[
     Annotated[Literal["auto"], Tag("<auto>")] | Annotated[Settle, Tag("<periods>")],
     Discriminator(lambda value: "<auto>" if value == "auto" else "<periods>"),
