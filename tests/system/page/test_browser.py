@@ -204,7 +204,7 @@ def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: st
         page.get_by_text("What does a time buy?").click()
         page.get_by_label("Time", exact=True).fill("60s")
         with page.expect_response(lambda answer: "budget=" in answer.url) as posted:
-            page.get_by_role("button", name="Compute within it").click()
+            page.get_by_role("button", name="Compute within this time").click()
         coarsest = view(address, posted.value.json()["id"])
         page.locator(".notice", has_text=re.compile("s left")).wait_for()
         page.locator(".notice", has_text=re.compile("How wrong|no audit")).wait_for()

@@ -26,7 +26,7 @@ export class PastedSpecification {
     this.text = h("textarea", { rows: 12, spellcheck: false, "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
     this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
-      h("p", { className: "note" }, "JSON, as “Copy as JSON” and the details of a job give it; “bounce submit” takes TOML files too. A file can be dropped anywhere on the page, also a sweep that was shared."),
+      h("p", { className: "note" }, "JSON, as in “Copy as JSON” and in the details of a job; “bounce submit” takes TOML files too. A file can be dropped anywhere on the page, even a shared sweep."),
       this.text, this.problem.element);
   }
 

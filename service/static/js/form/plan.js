@@ -32,10 +32,10 @@ export class Plan {
       this.problem.show(null);
       return compute(seconds(this.budget.value || this.budget.placeholder));
     };
-    const within = workButton("Compute within it", computeWithin, this.problem.show);
+    const within = workButton("Compute within this time", computeWithin, this.problem.show);
     this.table = h("div");
     this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
-      h("p", { className: "note" }, "Pilot points are computed with each effort and grid, and by a longer computation that decides. The recommended setting shows least wrong within the time; without one, it is the cheapest that shows at most 5 % wrong; a note says where none surely does. Its share is of fresh points. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
+      h("p", { className: "note" }, "Each effort and grid is tried at pilot points and judged by a longer computation. The recommended setting shows least wrong within the time; without a time, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points; a note says if no setting surely keeps to the limit. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), compare, within), this.problem.element, this.table);
   }
 

@@ -128,7 +128,7 @@ export class SweepList {
     const range = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinnedText}`;
     setText(this.range, before || others.next ? range : foundText);
     this.empty.hidden = others.total > 0;
-    this.empty.textContent = isFiltered ? "No sweep is like that." : "No sweeps yet.";
+    this.empty.textContent = isFiltered ? "No sweep matches." : "No sweeps yet.";
     this.intro.hidden = others.total > 0 || isFiltered;
     this.filters.hidden = !others.total && !isFiltered;
     this.selection.hidden = !others.total;

@@ -95,7 +95,7 @@ function auditOf(job) {
   if (isAudited(job) && !shared) audit().catch(problem.show); // the service has the answer
   return h("section", {},
     h("h2", {}, "Audit"),
-    h("p", {}, "Random cells are computed again so that they can be trusted: how many of all cells would change, at most? It takes about a tenth of the sweep's time, of a small one more."),
+    h("p", {}, "How many of all cells would a longer computation change, at most? Random cells are computed again, in about a tenth of the sweep's time, or more for a small sweep."),
     h("p", {}, workButton("Audit this sweep", audit, problem.show, { busy: "Auditing …" })), problem.element, answer);
 }
 
@@ -111,7 +111,7 @@ function questionTable(audit) {
 
 function changedCells(job, audit) {
   const [cells, { grid }] = [partsOf(audit, "cell"), sourceOf(job)];
-  if (!cells.length) return h("p", {}, "No cell looked at has changed.");
+  if (!cells.length) return h("p", {}, "None of the cells computed again has changed.");
   return h("details", {},
     h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
     h("ul", {}, cells.map(({ gamma, omega, xi, direction, stored, reference, undecided }) => h("li", {},
