@@ -96,7 +96,8 @@ class Budget:
         self._budgets, self.spec, self._owner, self.id = budgets, spec, owner, uuid4().hex
         manager = budgets.manager
         self.seconds, self.is_done, self.took = manager.seconds, manager.is_done, manager.took
-        self._seconds, self.ends = seconds, time.monotonic() + seconds
+        self._began = time.monotonic()
+        self.ends = self._began + seconds
         self.steps = known  # of the finest level that is done
         self.first: Future[Submission] = Future()
         self.levels: tuple[str, ...] = ()  # ids of their jobs
@@ -114,9 +115,9 @@ class Budget:
 
     def run(self) -> None:
         """Compute levels until the time is over."""
-        began = self.ends - self._seconds
+        seconds = self.ends - self._began
         try:
-            answer = within(self.spec, self._seconds, self, self._show, began=began, known=self.steps)
+            answer = within(self.spec, seconds, self, self._show, began=self._began, known=self.steps)
             self.steps = answer.levels[-1].steps
         except Exception as error:  # shown by the request, or with the first level
             text = str(error)

@@ -67,8 +67,8 @@ class Supervisor:
     `Schedule` decides which job submits the next chunk to the executor's limited places. There, later chunks
     of smaller jobs overtake a chunk for at most PASSED_SECONDS.
 
-    `start`, `in_flight`, `metrics`, `cluster`, `unknown_stores`, `wake`, `look_again`, `repair` and `stop`
-    may be used from any thread. The rest runs in the supervisor's own.
+    `start`, `in_flight`, `metrics`, `cluster`, `remaining_seconds`, `unknown_stores`, `wake`, `look_again`,
+    `repair` and `stop` may be used from any thread. The rest runs in the supervisor's own.
     """
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings, preparer: JobPreparer) -> None:
