@@ -184,6 +184,11 @@ def plate_of(
     return kernel.plate(**model.plate_arguments(gamma, omega, xi))
 
 
+def plate_at(model: Contact, gamma: float, omega: float, xi: float) -> Any:
+    """The kernel's plate for one cell."""
+    return plate_of(model, *(np.full(1, value) for value in (gamma, omega, xi)))
+
+
 def compile_kernels() -> None:
     """Compile or load the kernels of all jobs and answers: models, exponents, trajectories, cycles."""
     from kernel.cycles.contact_thresholds import thresholds_of  # noqa: PLC0415 - jobs do without cycles

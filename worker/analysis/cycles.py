@@ -31,7 +31,7 @@ from worker.spec.contact_models import Contact, Rigid, Soft
 from worker.study.layout import CELL_DIMS
 from worker.sweep import AXES, SweepSpec
 from worker.sweep.task import run_cells
-from worker.work import plate_of
+from worker.work import plate_at
 
 #: Flights longer than this, rad, count as bounces.
 MICRO_FLIGHT: Final[float] = SweepSpec.model_fields["micro_flight"].default
@@ -83,11 +83,6 @@ class FollowedCycles(NamedTuple):
     branches: tuple[Branch, ...]
     events: tuple[Events, ...]
     skipped: tuple[Skipped, ...] = ()
-
-
-def plate_at(contact: Contact, gamma: float, omega: float, xi: float) -> Any:
-    """The kernel's plate for one cell."""
-    return plate_of(contact, *(np.full(1, value) for value in (gamma, omega, xi)))
 
 
 def follow_cycles(
@@ -217,7 +212,7 @@ class Settled(NamedTuple):
         """The cycle near the cell's state on its branch, or None. A cell from rest is computed again."""
         gamma, omega, xi = (np.full(1, value) for value in self.cell)
         state = run_cells(spec, gamma, omega, xi, None).end_state[0] if self.state is None else self.state
-        cycle = cycle_from(plate_of(spec.model, gamma, omega, xi), self.cell, self.periods, state)
+        cycle = cycle_from(plate_at(spec.model, *self.cell), self.cell, self.periods, state)
         return cycle if cycle is None or along == "gamma" else turned(cycle, along, self.cell.gamma)
 
     def skipped(self, reason: str) -> Skipped:

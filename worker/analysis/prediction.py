@@ -14,11 +14,12 @@ from kernel.cycles.thresholds import EQ_25, PERIODS, UNRESOLVED, Thresholds, clo
 from kernel.params import KernelInputError
 from kernel.search import Searched, search
 from kernel.threshold import threshold
-from worker.analysis.cycles import lowest_cells, plate_at
+from worker.analysis.cycles import lowest_cells
 from worker.orbits.plan import SECONDS
 from worker.orbits.specification import MAX_GRID
 from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import SweepSpec
+from worker.work import plate_at
 
 #: Ending of a cause that a search found.
 SEARCHED: Final = ", searched"

@@ -11,7 +11,7 @@ from kernel.line import LineRun
 from kernel.params import STATE_FIELDS, Line
 from worker.basins.specification import GridSpec
 from worker.spec.contact_models import Contact
-from worker.work import Work, plate_of
+from worker.work import Work, plate_at, plate_of
 
 _ANSWER: Final = "answer/"
 
@@ -49,10 +49,9 @@ def contact_states(
     cell: gamma, omega, xi. elongation (…): beyond the static one, plate amplitudes; velocity (…): of the
     elongation, times omega, in the same unit.
     """
-    gamma, omega, xi = cell
+    _, omega, _ = cell
     states = np.zeros((*elongation.shape, len(STATE_FIELDS)))
-    plate = plate_of(model, *(np.full(1, value) for value in cell))
-    states[..., 2:] = rest(prepare(plate, 0, gamma, omega, xi))
+    states[..., 2:] = rest(prepare(plate_at(model, *cell), 0, *cell))
     states[..., 4] += elongation
     states[..., 5] += velocity / omega
     return states
