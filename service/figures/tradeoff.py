@@ -203,7 +203,7 @@ ERRORS: Final = (1e-14, 1e4)
 COSTS: Final = (0.02, 3e4)
 
 
-def draw(found: xarray.Dataset, figure: Figure) -> None:
+def draw(result: xarray.Dataset, figure: Figure) -> None:
     """The cost of a plate period against the error of flight times, a panel for each purpose."""
     panels = figure.subplots(1, len(PURPOSES), sharey=True)
     for axes, (name, purpose) in zip(panels, PURPOSES.items(), strict=True):
@@ -221,7 +221,7 @@ def draw(found: xarray.Dataset, figure: Figure) -> None:
                 key = (fields.get("scheme", setting.contact.kind), fields.get("adhesive", True))
                 lines.setdefault(key, []).append(i)
         for (series, adhesive), line in lines.items():
-            _draw_line(axes, SERIES[series], adhesive, found, line)
+            _draw_line(axes, SERIES[series], adhesive, result, line)
     panels[0].set_ylabel("core-µs per cell per plate period", fontsize=11)
     handles = [
         Line2D([], [], color=series.colour, marker=series.marker, label=series.label, linewidth=1)
@@ -232,9 +232,9 @@ def draw(found: xarray.Dataset, figure: Figure) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
 
 
-def _draw_line(axes: Axes, series: Series, adhesive: bool, found: xarray.Dataset, line: list[int]) -> None:
+def _draw_line(axes: Axes, series: Series, adhesive: bool, result: xarray.Dataset, line: list[int]) -> None:
     """Rows of one model or scheme under one law; a reference is a line across the panel."""
-    cost, error, error_95 = (found[name].values for name in ("cost", "error", "error_95"))
+    cost, error, error_95 = (result[name].values for name in ("cost", "error", "error_95"))
     points = [i for i in line if error[i] > 0.0]
     for i in (i for i in line if error[i] == 0.0):
         axes.axhline(cost[i], color=series.colour, linewidth=1, linestyle="--")

@@ -160,15 +160,15 @@ class JobManager:
         if not self._waiting.acquire(blocking=False):
             return None
         try:
-            told = self._executor.call(pace_of, spec)
-            if not wait([told], PACE_SECONDS).done:
-                told.cancel()
+            answer = self._executor.call(pace_of, spec)
+            if not wait([answer], PACE_SECONDS).done:
+                answer.cancel()
                 return None
         except ExecutorError:
             return None
         finally:
             self._waiting.release()
-        pace = None if told.cancelled() or told.exception() else told.result()
+        pace = None if answer.cancelled() or answer.exception() else answer.result()
         if pace is not None:
             if len(self._paces) >= PACES:
                 self._paces.clear()

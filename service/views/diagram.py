@@ -135,14 +135,14 @@ def compute(study: selection.Stored[SweepSpec], query: DiagramQuery, *followed: 
     return result
 
 
-def _with_branches(result: xarray.Dataset, found: xarray.Dataset, is_own: bool) -> xarray.Dataset:
+def _with_branches(result: xarray.Dataset, cycles: xarray.Dataset, is_own: bool) -> xarray.Dataset:
     """A diagram with branches; of several flights of a cycle, with the longest."""
-    x = {name: found.variables[name] for name in _OF_BRANCHES if "branch" in found.variables[name].dims}
+    x = {name: cycles.variables[name] for name in _OF_BRANCHES if "branch" in cycles.variables[name].dims}
     if "flight" in x["flight_time"].dims:
         longest = x["flight_time"].values[..., :1]
         x["flight_time"] = xarray.Variable(("branch", "point"), longest.reshape(longest.shape[:2]))
     branches = {_OF_BRANCHES[name].name: variable for name, variable in x.items()}
-    return result.assign(branches).assign_attrs(branches=found.attrs["model"], own_branches=is_own)
+    return result.assign(branches).assign_attrs(branches=cycles.attrs["model"], own_branches=is_own)
 
 
 def _window(spec: SweepSpec, query: DiagramQuery) -> range:

@@ -79,15 +79,15 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     near, inside = _nearest(study.spec, other.spec, query.every)
     way = direction if direction in ways else ways[0]
     theirs = _read_nearest(other, way, other_xi.index, near)
-    common = known = np.logical_and.outer(*inside)
+    common = both = np.logical_and.outer(*inside)
     for arrays in (own, theirs):
-        known = known & (arrays["outcome"] != Outcome.MISSING)
+        both = both & (arrays["outcome"] != Outcome.MISSING)
     compared = [array.name for array in _OF_CELLS if array.name in own and array.name in theirs]
     same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
-    data = {"differs": np.where(known, ~same, 2)} | {name: own[name] for name in compared}
+    data = {"differs": np.where(both, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
-    at = f"At ξ = {xi.value:g}, " if len(study.spec.axis_values("xi")) > 1 and known.any() else ""
+    at = f"At ξ = {xi.value:g}, " if len(study.spec.axis_values("xi")) > 1 and both.any() else ""
     rows = {array.name: array for array in _ROWS}
     return dataset(
         {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
@@ -95,7 +95,7 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
-            "sentence": at + _sentence(same, known, moved, shared) if common.any() else _APART,
+            "sentence": at + _sentence(same, both, moved, shared) if common.any() else _APART,
             "other": query.other, "other_direction": way, "other_xi": other_xi.value,
             "other_model": other.spec.model.kind, "every": query.every,
             "complete": bool(study.is_complete(own["outcome"]) and other.is_complete(theirs["outcome"])),
@@ -163,14 +163,14 @@ def _away(own: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _sentence(
-    same: NDArray[np.bool_], known: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]],
+    same: NDArray[np.bool_], both: NDArray[np.bool_], moved: dict[str, NDArray[np.float64]],
     shared: NDArray[np.bool_],
 ) -> str:  # fmt: skip
     """In words: the share of cells with the same mode, and the most that thresholds move.
 
-    known: cells that are computed in both. shared: omegas that both have.
+    both: cells that are computed in both. shared: omegas that both have.
     """
-    if not known.any():
+    if not both.any():
         return "No cell is computed in both yet."
     away = np.concatenate([*moved.values(), []])
     most = np.max(away, where=np.isfinite(away), initial=-1.0)
@@ -179,9 +179,9 @@ def _sentence(
     threshold = threshold if most >= 0.0 else "there is no threshold in both"
     if not shared.all():
         threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
-    cells = "the cells" if known.all() else f"the {known.sum():,} of {known.size:,} cells of both"
-    share = 100.0 * same[known].mean()
-    share = share if same[known].all() else min(share, _LESS_THAN_ALL)
+    cells = "the cells" if both.all() else f"the {both.sum():,} of {both.size:,} cells of both"
+    share = 100.0 * same[both].mean()
+    share = share if same[both].all() else min(share, _LESS_THAN_ALL)
     return f"{share:.4g} % of {cells} have the same mode; {threshold}."
 
 

@@ -51,7 +51,7 @@ def to_binary(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
     arrays: list[bytes] = []
     end = 0
 
-    def place(values: NDArray[Any]) -> Any:
+    def placed(values: NDArray[Any]) -> Any:
         nonlocal end
         if values.ndim == 0 or values.dtype.kind in "UOT":
             return values.tolist()
@@ -60,7 +60,7 @@ def to_binary(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
         offset, end = end, end + len(arrays[-1])
         return {"offset": offset, "shape": values.shape}
 
-    line = orjson.dumps(_document(dataset, place), option=orjson.OPT_SERIALIZE_NUMPY)
+    line = orjson.dumps(_document(dataset, placed), option=orjson.OPT_SERIALIZE_NUMPY)
     return b"".join([line.ljust(_aligned(len(line) + 1) - 1), b"\n", *arrays])
 
 
@@ -226,9 +226,9 @@ def _columns(
         elif lists:
             yield name, _list_column(part, variable, dims, selected)
         elif prod(sizes := [part.sizes[dim] for dim in extra]) <= COLUMNS:
-            for place in np.ndindex(*sizes):
-                numbers = "_".join(str(i + 1) for i in place)
-                cell = variable.isel(dict(zip(extra, place, strict=True)))
+            for index in np.ndindex(*sizes):
+                numbers = "_".join(str(i + 1) for i in index)
+                cell = variable.isel(dict(zip(extra, index, strict=True)))
                 yield f"{name}_{numbers}", _column(part, cell, dims, selected)
 
 

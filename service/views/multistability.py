@@ -227,7 +227,7 @@ def _labels(arrays: _Arrays, ids: NDArray[np.int64]) -> NDArray[np.object_]:
 
 def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int, str]:
     counts = Counter(zip(ids[ids > 0].tolist(), labels[ids > 0].tolist(), strict=True))
-    ranked = sorted(counts, key=lambda each: (-counts[each], each[1]))
+    ranked = sorted(counts, key=lambda pair: (-counts[pair], pair[1]))
     return dict(reversed(ranked))
 
 

@@ -62,13 +62,13 @@ def settings_of(spec: SweepSpec, pace: Callable[[SweepSpec], float | None], work
     chosen: list[Setting] = []
     for effort in reversed(EFFORTS):
         whole = SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
-        told = pace(whole)
+        measured = pace(whole)
         for part in PARTS:
             steps = WHOLE if part == 1.0 else finest(whole, part * cells(whole, WHOLE))
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
             thinned = level(whole, steps)
-            taken = study_of(spec).estimate(thinned, study_of(spec).plan(thinned)).at(told)
+            taken = study_of(spec).estimate(thinned, study_of(spec).plan(thinned)).at(measured)
             seconds = taken.core_seconds / max(workers, 1)
             chosen.append(Setting(whole, steps, seconds, taken.bytes, effort))
     return chosen

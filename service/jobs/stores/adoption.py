@@ -48,9 +48,9 @@ def adopt(ledger: Ledger, settings: Settings, named: str, **labels: str) -> JobR
     same = (name for name in unknown if named in (id_of(name), name.removesuffix(".zarr")))
     name = next(same, f"{named}.zarr")
     url = settings.store_of(name)
-    known = NotAdoptable(f"{url}: the ledger knows this job; delete it to adopt another store of it")
+    in_ledger = NotAdoptable(f"{url}: the ledger knows this job; delete it to adopt another store of it")
     if ledger.find(job_id) is not None:
-        raise known
+        raise in_ledger
     try:
         job, layout, plan, choice = _contents(url, job_id)
     except (store.StoreError, SpecError, LookupError, TypeError, ValueError, RecursionError) as error:
@@ -64,7 +64,7 @@ def adopt(ledger: Ledger, settings: Settings, named: str, **labels: str) -> JobR
         state, lacking = JobState.FAILED, f"adopted: {summary}; resume it for the rest"
     with ledger.writing() as writing:
         if writing.find(job_id) is not None:
-            raise known
+            raise in_ledger
         writing.insert(job, now, name)
         adopted = cast(JobRecord, writing.find(job_id))
         writing.update(
