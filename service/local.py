@@ -206,10 +206,7 @@ def run_to_file(
         exports.check(parsed, study_of(parsed).plan(parsed), cast(ExportFormat, format))
     else:
         query, _ = admit(view, parsed, query, format, settings.max_points)
-    with (
-        computed(parsed, settings.data, **computing) as done,
-        complete_file(target) as file,
-    ):
+    with computed(parsed, settings.data, **computing) as done, complete_file(target) as file:
         job, study = done.job, replace(stored(done.record, done.job), audit=done.audit)
         if format in EXPORTS:
             attributes = exports.attributes_of(done.record, job)

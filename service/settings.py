@@ -126,8 +126,7 @@ class Settings(BaseSettings):
     max_cells: Count = Field(DEFAULT_MAX_CELLS, description="Cells of one sweep.")
     max_bytes: Count = Field(DEFAULT_MAX_BYTES, description="Bytes of one sweep's arrays before compression.")
     max_core_seconds: Positive = Field(
-        DEFAULT_MAX_CORE_SECONDS,
-        description="Core-seconds of one study, by the cost table's upper estimate.",
+        DEFAULT_MAX_CORE_SECONDS, description="Core-seconds of one study, by the cost table's upper estimate."
     )
     max_queue: Count = Field(1_000, description="Unfinished jobs.")
     max_queue_per_token: Count = Field(500, description="Unfinished jobs of one named token.")

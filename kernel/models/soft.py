@@ -36,14 +36,7 @@ from kernel.models.soft_contact import (
 from kernel.numerics.elementary import sincos
 from kernel.numerics.first_root import EPS, HORIZON, ROOT, Terms, departure_step, first_root, terms
 from kernel.numerics.jit import inlined, jit
-from kernel.numerics.oscillator import (
-    all_derivatives,
-    apart,
-    derivatives,
-    motion,
-    propagator,
-    quiet_time,
-)
+from kernel.numerics.oscillator import all_derivatives, apart, derivatives, motion, propagator, quiet_time
 from kernel.params import check_arrays
 
 

@@ -28,10 +28,7 @@ def job_report(job: "Job") -> str:
         f"{progress.chunks_done:,} of {plural(progress.chunks_total, 'chunk')}){time_left(job)}",
         "settling": settling_note(job),
         "model": (job.view.get("choice") or {}).get("reason"),
-        **{
-            member: job.view.get(member)
-            for member in ("owner", "notice", "created", "started", "finished", "error")
-        },
+        **{x: job.view.get(x) for x in ("owner", "notice", "created", "started", "finished", "error")},
     }
     return "\n".join(f"{name:<10}{text}" for name, text in lines.items() if text)
 

@@ -226,16 +226,10 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
             "newest" (default), "oldest", "finished", "name" or "largest".
         """
         query: dict[str, Any] = {
-            "state": state,
-            "search": search,
-            "model": model,
-            "protocol": protocol,
-            "pinned": pinned,
-            "created_from": created_from,
-            "created_before": created_before,
-            "order": order,
+            "state": state, "search": search, "model": model, "protocol": protocol, "pinned": pinned,
+            "created_from": created_from, "created_before": created_before, "order": order,
             "limit": PAGE_SIZE,
-        }
+        }  # fmt: skip
         while True:
             page = json_object(self._transport.get("/v1/jobs", query))
             if not isinstance(page.get("jobs"), list):

@@ -41,7 +41,7 @@ def plan_basins(
     """
     if chunk_shape is None:
         starts = spec.protocol.rows * spec.protocol.columns
-        seconds = starts * cell_seconds(_of_starts(spec))
+        seconds = starts * start_seconds(spec)
         size = bytes_of(basin_arrays(spec), basin_sizes(spec))
         cells = max(1, int(min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size)))
         row = even(spec.shape[2], cells)

@@ -7,8 +7,6 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 from worker.spec.axes import WHOLE, Strict, check_kind, kind_of
 from worker.spec.errors import BrokenRuleError, describe
 
-AxisName = Literal["gamma", "omega", "xi"]
-
 
 class Rest(Strict):
     """Every cell starts from rest."""
@@ -57,7 +55,7 @@ class Ramp(Strict):
     """
 
     kind: Literal["ramp"] = "ramp"
-    axis: AxisName
+    axis: Literal["gamma", "omega", "xi"]
     direction: Literal["up", "down", "both"]
     #: Excluded from rest: ids of jobs made before the field existed must not change.
     start: Annotated[Start, Field(exclude_if=lambda start: start is None)] = None

@@ -12,14 +12,7 @@ from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, legend_beside, values_at
 from service.views.springs.branches import EVENTS, ROWS, below, columns, cycle_result, event_columns, padded
-from service.views.springs.queries import (
-    ContactQuery,
-    GammaMax,
-    Modes,
-    grid_length,
-    name_of,
-    parse_modes,
-)
+from service.views.springs.queries import ContactQuery, GammaMax, Modes, grid_length, name_of, parse_modes
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, View, Xi
 from worker.analysis.cycles import CONTACT_CURVES, curves_seconds, follow_curves

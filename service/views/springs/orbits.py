@@ -44,7 +44,6 @@ from worker.analysis.cycles import CYCLE_SECONDS, FollowedCycles, follow_along, 
 from worker.analysis.prediction import branch_seconds
 from worker.orbits.specification import MAX_POINTS
 
-WithEnergy = Annotated[bool, Field(description="the energy balance of every point as well")]
 WithDoubled = Annotated[bool, Field(description="branches of twice the period that begin at flips as well")]
 
 #: Estimated branches of a mode on a contact, and limit on the core-seconds of an answer.
@@ -76,7 +75,7 @@ class OrbitsQuery(ContactQuery):
     stop: Annotated[Number | None, Field(description="highest Γ of the window")] = None
     flight_start: Annotated[Number | None, Field(description="rad, shortest flight of the window")] = None
     flight_stop: Annotated[Number | None, Field(description="rad, longest flight of the window")] = None
-    energy: WithEnergy = False
+    energy: Annotated[bool, Field(description="the energy balance of every point as well")] = False
     prove: Annotated[bool, Field(description="whether all folds and flips are counted, with a proof")] = False
     along: Literal["gamma", "omega", "xi"] = Field(
         "gamma", description="what varies; of a model, omega or xi too, from half to twice its value"
