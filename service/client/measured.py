@@ -4,7 +4,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -22,6 +22,8 @@ Data: TypeAlias = "str | PathLike[str] | pandas.DataFrame | Mapping[str, Any]"
 
 MOST_ROWS: Final = 100_000
 _NEAR: Final = 1e-6  # relative, of values that are the same
+#: As in views/measured.js.
+_EMPTY: Final = "(-?nan?|<na>|nat|n/a|null|none)?"
 _COLUMNS: Final = ("gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequency", "error")
 
 
@@ -44,25 +46,24 @@ def measured(
     `frequency` in Hz as an argument or a column. `error` has the unit of its value. Raises BounceError naming
     the column, or the row, from 1.
     """
-    table = _table(data)
+    table = _table(data, frequency)
     y, factor = value, np.ones(len(table))
     if value == "flight_time" and "flight_time_ms" in table:
-        table = table if frequency is None else table.assign(frequency=frequency)
         if "frequency" not in table:
-            raise BounceError("data: flight_time_ms needs the plate's frequency in Hz, as argument or column")
-        y, factor = "flight_time_ms", 2.0 * math.pi * _numbers(table, "frequency") / 1000.0
+            raise BounceError("data: flight_time_ms needs the plate's frequency in Hz, as a column")
+        y, factor = "flight_time_ms", 2.0 * math.pi * table["frequency"].to_numpy() / 1000.0
     for name in (along, y):
         if name not in table:
             also = " or flight_time_ms" if name == "flight_time" else ""
             columns = ", ".join(map(str, table)) or "none"
             raise BounceError(f"data: needs the column {name}{also}; it has {columns}")
-    error = _numbers(table, "error") if "error" in table else np.full(len(table), np.nan)
-    points = (_numbers(table, along), _numbers(table, y) * factor, error * factor)
+    error = table["error"].to_numpy() if "error" in table else np.full(len(table), np.nan)
+    points = (table[along].to_numpy(), table[y].to_numpy() * factor, error * factor)
     inside = np.isfinite(points[0] + points[1])
     if not inside.any():
         raise BounceError(f"data: no row has {along} and {y}")
     for name in at.keys() & set(table):
-        inside &= ~(np.abs(_numbers(table, name) - at[name]) > _NEAR * at[name])
+        inside &= ~(np.abs(table[name].to_numpy() - at[name]) > _NEAR * at[name])
     if not inside.any():
         place = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
         raise BounceError(f"data: no point is at {place}")
@@ -72,8 +73,6 @@ def measured(
 def element(data: Data) -> str:
     """Measured points as an element of a shared page, for views/measured.js. Raises BounceError."""
     table = _table(data)
-    for name in table:
-        _numbers(table, str(name))
     name = Path(data).name if isinstance(data, str | PathLike) else "data"
     value = "flight_time" if {"flight_time", "flight_time_ms"} & set(table) else "gamma"
     along = "omega" if value == "gamma" else next((axis for axis in _COLUMNS[:3] if axis in table), "gamma")
@@ -83,7 +82,8 @@ def element(data: Data) -> str:
     return f'<script type="application/json" id="measured">{files}</script>'
 
 
-def _table(data: Data) -> "pandas.DataFrame":
+def _table(data: Data, frequency: float | None = None) -> "pandas.DataFrame":
+    """The columns as numbers, NaN where a cell is empty. Raises BounceError."""
     import pandas
 
     if isinstance(data, str | PathLike):
@@ -91,18 +91,19 @@ def _table(data: Data) -> "pandas.DataFrame":
             with warnings.catch_warnings():
                 warnings.simplefilter("error", pandas.errors.ParserWarning)  # of cells beyond the columns
                 read = pandas.read_csv(
-                    data, comment="#", skipinitialspace=True, index_col=False, nrows=MOST_ROWS + 1
+                    data, comment="#", skipinitialspace=True, index_col=False, nrows=MOST_ROWS + 1, dtype=str
                 )
         except (pandas.errors.ParserWarning, pandas.errors.ParserError) as error:
             rule = "a row has more cells than there are columns, or an open quote"
             line = "".join(f" ({line})" for line in re.findall(r"line \d+", str(error)))
             raise BounceError(f"data: {rule}{line}; commas separate columns, points decimals") from None
         except ValueError:
-            raise BounceError(f"data: {data} is no table of columns with commas") from None
+            raise BounceError(f"data: {data} is no text (UTF-8) of columns with commas") from None
         unnamed = read.columns.str.startswith("Unnamed: ") & read.isna().all()  # below a comma too many
         data = read.loc[:, ~unnamed].rename(columns=str.strip)
     try:
         table = pandas.DataFrame(data)
+        table = table if frequency is None else table.assign(frequency=frequency)
     except ValueError:
         rule = "must be a CSV file, or a table or mapping of columns of one length"
         raise BounceError(f"data: {rule}, not {data!r:.40}") from None
@@ -110,16 +111,17 @@ def _table(data: Data) -> "pandas.DataFrame":
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:
         raise BounceError(f"data: {unknown[0]:.40} is no column here; these are {', '.join(_COLUMNS)}")
-    return table
+    return pandas.DataFrame({name: _numbers(table[name], str(name)) for name in table})
 
 
-def _numbers(table: "pandas.DataFrame", name: str) -> NDArray[np.float64]:
+def _numbers(column: Iterable[Any], name: str) -> NDArray[np.float64]:
     import pandas
 
-    numbers = pandas.to_numeric(table[name], errors="coerce").to_numpy(float)
+    # as texts, of which True and dates are no numbers
+    cells = pandas.Series([str(cell).strip() for cell in column], dtype=object)
+    numbers = pandas.to_numeric(cells, errors="coerce").to_numpy(float)
     low, rule = (numbers <= 0.0, "above 0") if name == "frequency" else (numbers < 0.0, "of 0 or more")
-    wrong = np.flatnonzero(low | (~np.isfinite(numbers) & table[name].notna().to_numpy()))
-    if len(wrong):
-        value = str(table[name].iloc[wrong[0]])
-        raise BounceError(f"data: {name} of row {wrong[0] + 1} must be a number {rule}, not {value!r:.40}")
+    wrong = np.flatnonzero(low | (~np.isfinite(numbers) & ~cells.str.fullmatch(_EMPTY, case=False)))
+    for row in wrong[:1]:
+        raise BounceError(f"data: {name} of row {row + 1} must be a number {rule}, not {cells[row]!r:.40}")
     return numbers

@@ -87,7 +87,7 @@ export class MeasuredPoints {
     const { name, rows } = kept.get(this.key);
     const others = rows.length - points.length;
     const elsewhere = others ? `; ${count(others)} of another ${this.#fixed.map((axis) => SYMBOL[axis]).join(" or ")} left out` : "";
-    this.text.textContent = `Measured, ${name}: ${distances.length} of ${plural(points.length, "point")} where computed ones are shown${residual}${elsewhere} ·`;
+    this.text.textContent = `Measured, ${name}: ${count(distances.length)} of ${plural(points.length, "point")} where computed ones are shown${residual}${elsewhere} ·`;
   }
 
   draw(ctx, box) {
@@ -107,7 +107,7 @@ function tableOf(text, along, value) {
     .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1")));
   while (names?.at(-1) === "") names.pop(); // below a comma too many
   if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
-  if (rows.length > MOST_ROWS) throw new Error(`has more than ${MOST_ROWS} rows`);
+  if (rows.length > MOST_ROWS) throw new Error(`has more than ${count(MOST_ROWS)} rows`);
   const unknown = names.find((name, i) => !COLUMNS.includes(name) || names.indexOf(name) < i);
   const wrong = COLUMNS.includes(unknown) ? "there twice" : "no column here";
   if (unknown !== undefined) throw new Error(`${unknown.slice(0, 40)} is ${wrong}; these are ${COLUMNS.join(", ")}, separated by commas`);
@@ -117,7 +117,7 @@ function tableOf(text, along, value) {
   if (missing) throw new Error(`needs the column ${missing}${missing === "flight_time" ? " or flight_time_ms" : ""}; it has ${names.join(", ")}`);
   const valueIn = (cell = "", name, row) => {
     const [value, rule] = [numberIn(cell), name === "frequency" ? "above 0" : "of 0 or more"];
-    if (/^(nan?|n\/a|null|none)?$/i.test(cell)) return NaN;
+    if (/^(-?nan?|<na>|nat|n\/a|null|none)?$/i.test(cell)) return NaN;
     if (Number.isFinite(value) && (value > 0 || (value === 0 && name !== "frequency"))) return value;
     throw new Error(`${name} of row ${row + 1} must be a number ${rule}, not '${cell.slice(0, 40)}'; ${RULE}`);
   };

@@ -138,7 +138,7 @@ def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
     """
     file = tmp_path / "measured.csv"
     for comma in ("", ","):
-        file.write_text(f"omega,gamma,flight_time{comma}\n0.6,1.5,4.2,\n0.6,2.0,n/a,\n0.6,,,\n")
+        file.write_text(f"omega,gamma,flight_time{comma}\n0.6,1.5,4.2,\n0.6,2.0,n/a,\n0.6,3.0,na,\n0.6,,,\n")
         points = measured(file, "gamma", "flight_time", {"omega": 0.6})
         np.testing.assert_array_equal(points, [[1.5], [4.2], [math.nan]])
     assert '"value": "flight_time"' in element(file)  # thresholds have columns of these names too
@@ -158,11 +158,13 @@ def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
     ({"gamma": [1.0]}, "data: needs the column flight_time or flight_time_ms; it has gamma"),
     ({"flight_time": [1.0]}, "data: needs the column gamma; it has flight_time"),
     ({"gamma": [1.0], "flight_time": ["long"]}, "of row 1 must be a number of 0 or more, not 'long'"),
+    ({"gamma": [1.0], "flight_time": [True]}, "of row 1 must be a number of 0 or more, not 'True'"),
+    ({"gamma": [1.0], "flight_time": [2.0], "frequency": [-1]}, "frequency of row 1 must be a number"),
     ({"gamma": [1.0], "flight_time": [2.0], "error": [-1.0]}, "error of row 1 must be a number of 0 or more"),
     ({"gamma": [1.0], "flight_time_ms": [9.0]}, "data: flight_time_ms needs the plate's frequency in Hz"),
     ({"gamma": [1.0], "speed": [9.0]}, "data: speed is no column here; these are gamma, omega, xi"),
     ({"gamma": [1.0], "omega": [0.7], "flight_time": [2.0]}, "data: no point is at omega = 0.6, xi = 0.05"),
-    (Path(__file__).parents[4] / "docs/page.png", "is no table of columns with commas"),
+    (Path(__file__).parents[4] / "docs/page.png", "is no text (UTF-8) of columns with commas"),
 ])  # fmt: skip
 def test_data_that_is_no_table_of_points_is_refused(job: Job, data: Any, rule: str):
     with pytest.raises(BounceError) as caught:
