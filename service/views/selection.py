@@ -179,6 +179,7 @@ def between(values: NDArray[np.float64], query: Any, lower: str, upper: str) -> 
     check_order(query, lower, upper)
     start, stop, ends = getattr(query, lower), getattr(query, upper), (float(values[0]), float(values[-1]))
     first, last = ends[0] if start is None else start, ends[1] if stop is None else stop
+    first, last = first * (1.0 - 1e-12), last * (1.0 + 1e-12)  # 0.8 of a grid may be 0.7999999999999999
     if first > ends[1]:
         raise InvalidRequest.of(lower, f"must not be above the axis, which ends at {ends[1]:g}")
     if last < ends[0]:

@@ -16,6 +16,7 @@ from tables import for_each
 from kernel.params import Outcome
 from service.errors import InvalidRequest, TooLarge
 from service.views import selection, shared
+from service.views.diagram import DiagramQuery
 from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
@@ -94,6 +95,13 @@ def test_a_parameter_outside_the_grid_is_named(
         diagram(sweep, **values)
     assert [problem.field for problem in error.value.problems] == [field]
     assert rule in str(error.value)
+
+
+def test_a_window_has_the_grid_values_at_its_ends():
+    gamma = np.linspace(0.4, 1.2, 41)
+    assert gamma[20] < 0.8  # by rounding
+    for ends, cells in (({"start": 0.8, "stop": 1.0}, range(20, 31)), ({"start": 1.2}, range(40, 41))):
+        assert selection.between(gamma, DiagramQuery(**ends), "start", "stop") == cells
 
 
 def test_a_picture_is_what_is_shown(sweep: Stored):
