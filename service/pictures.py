@@ -176,6 +176,7 @@ def draw_diagram(axes: Axes, diagram: xarray.Dataset, longest: float = 0.0) -> N
     if along == "gamma" and diagram.attrs.get("model") != "ball":  # which has no spring
         _draw_threshold(axes, values, float(diagram.omega), float(diagram.xi))
     axes.set(xlabel=AXES[along], ylabel=FLIGHT)
+    _set_scales(axes, diagram)
 
 
 def draw_incomplete(axes: Axes, reason: str) -> None:
@@ -222,7 +223,7 @@ def _scale(axes: Axes, values: NDArray[np.float64], highest: float) -> None:
     axes.set_ylim(0, 1.06 * highest)
 
 
-def set_scales(axes: Axes, result: xarray.Dataset) -> None:
+def _set_scales(axes: Axes, result: xarray.Dataset) -> None:
     """Make the axes in the attribute `log` logarithmic, for values above zero, and the others linear."""
     for name in "xy" if "log" in result.attrs else "":
         if name in result.attrs["log"]:
@@ -470,6 +471,7 @@ def draw_modes(ax: Axes, modes: xarray.Dataset) -> None:
     way = str(modes.direction.values) if "direction" in modes else "rest"
     ramped = "" if way == "rest" else f", {_WAYS[way]}"
     ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
+    _set_scales(ax, modes)
 
 
 def _draw_threshold_curve(ax: Axes, modes: xarray.Dataset) -> list[Artist]:

@@ -225,7 +225,6 @@ def draw(result: xarray.Dataset, figure: pictures.Figure) -> None:
     figure.set_figheight(0.5 * sum(ratios) * SIZE[1])
     axes, *below = figure.subplots(len(ratios), sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     pictures.draw_diagram(axes, result)
-    pictures.set_scales(axes, result)
     scale = axes.xaxis.get_transform()
     low, high = scale.transform(axes.get_xlim())
     dot = pictures.dot_of(result.sizes[result.attrs["along"]])

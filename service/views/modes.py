@@ -13,7 +13,7 @@ from pydantic import Field
 from kernel.modes import counted
 from kernel.params import Outcome
 from service.errors import InvalidRequest
-from service.pictures import Figure, by_direction, draw_modes, set_scales
+from service.pictures import Figure, by_direction, draw_modes
 from service.views import selection
 from service.views.variables import cells_dataset, coordinate, row, variable
 from service.views.view import Direction, Estimate, Every, Hide, Log, MinFlight, Number, Query, View
@@ -254,7 +254,6 @@ def draw(result: xarray.Dataset, figure: Figure) -> None:
     ways = by_direction(result)
     for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
         draw_modes(axes, way)
-        set_scales(axes, way)
 
 
 VIEW: Final = View(

@@ -117,8 +117,8 @@ def test_the_axes_have_room_for_measured_flights_unless_a_window_is_asked_for(jo
     data = {"gamma": [1.0, 2.0], "flight_time": [50.0, 90.0]}  # the second is beyond the axis
     ax = job.plot("diagram", omega=0.6, data=data, ax=Figure().subplots())
     assert ax.get_ylim() == pytest.approx((0.0, 53.0))
-    ax = job.plot("diagram", omega=0.6, data=data, flight_stop=9.0, ax=Figure().subplots())
-    assert ax.get_ylim()[1] == 9.0
+    ax = job.plot("diagram", omega=0.6, data=data, flight_stop=9.0, log="y", ax=Figure().subplots())
+    assert (ax.get_ylim()[1], ax.get_yscale()) == (9.0, "log")
 
 
 def test_measured_thresholds_have_residuals_to_the_nearest_of_the_sweep(job: Job, ax: Axes):
