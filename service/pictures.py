@@ -537,7 +537,8 @@ def draw_thresholds(ax: Axes, thresholds: xarray.Dataset) -> None:
         if number:
             ax.plot([], [], " ", label=f"closed form, {status}: {number} of {len(omega)}")
     ax.set(xlabel=AXES["omega"], ylabel=r"threshold $\Gamma$", title=values_at(thresholds, ["xi"]))
-    ax.set_ylim(thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
+    window = (thresholds.attrs.get("gamma_start"), thresholds.attrs.get("gamma_stop"))
+    ax.set_ylim(*window, auto=window == (None, None))  # with room for measured points
     ax.legend(*ax.get_legend_handles_labels(), frameon=False)  # of a ball there may be none
 
 

@@ -129,6 +129,10 @@ def test_measured_thresholds_have_residuals_to_the_nearest_of_the_sweep(job: Job
     from_closed = min((closed - float(found.up), closed - at), key=abs)
     assert abs(from_closed) > 1e-3
     np.testing.assert_allclose(residuals(ax), [0.01, from_closed], atol=1e-9)
+    above = {"omega": [0.6], "gamma": [9.0]}
+    for window, top in (({}, 9.0), ({"gamma_stop": 2.0}, 2.0)):
+        ax = job.plot("threshold", data=above, ax=Figure().subplots(), **window)
+        assert ax.get_ylim()[1] == pytest.approx(top, rel=0.1)
 
 
 def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
