@@ -82,6 +82,8 @@ def test_it_is_the_same_job_with_the_same_bytes(
     about = parquet.read_schema(io.BytesIO(table)).metadata
     assert re.findall(rb"Z (\w+)", about[b"history"]) == [b"computing", b"accepted", b"taken"]
     assert about[b"software"].decode() in html.unescape(page.decode())
+    numbers, again = map(sharing._BLOCK.search, (page, client.get(f"{here}/export?format=html").content))
+    assert numbers[1] == again[1]  # the checksum
     assert client.delete(here).status_code == 204
     again = client.post("/v1/imports", content=page, headers=HTML)  # before the other is removed
     assert again.status_code == 201
