@@ -89,7 +89,7 @@ def import_shared(
     except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise InvalidRequest.of("file", _DAMAGED) from error
     if version != KERNEL_VERSION:
-        rule = f"was computed by kernel version {version}; this release computes version {KERNEL_VERSION}"
+        rule = f"was computed by kernel version {version:.40}; this release computes version {KERNEL_VERSION}"
         raise InvalidRequest.of("file", f"{rule}: submit its specification to compute it anew")
     if not isinstance(spec, SweepSpec):
         raise InvalidRequest.of("file", _NOT_SHARED)
