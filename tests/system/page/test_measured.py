@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from browser import DROP, download, needs_chromium, open_tab, opened, picture, wait_shown
 from scripted import wait_for
-from served import done
+from served import computing_at, done
 from studies import spec_of
 
 from service.client import Client
@@ -78,3 +78,17 @@ def test_an_error_that_reaches_below_zero_is_drawn_on_a_logarithmic_axis(browser
         bare = picture(page)
         page.evaluate(DROP, ["error.csv", "gamma,flight_time,error\n1,4,9"])
         wait_for(lambda: picture(page) != bare)
+
+
+def test_points_beyond_the_window_of_a_long_line_have_no_residual(browser: Any, tmp_path: Path):
+    with computing_at(tmp_path, max_points=1000) as address:
+        job = done(address, SWEEP | {"keep": 24, "omega": 0.6, "protocol": {"kind": "rest"}})
+        with opened(browser, f"{address}/#/job/{job}/diagram", expected=("413",)) as page:
+            wait_shown(page, every=2)
+            page.evaluate(DROP, ["run.csv", "gamma,flight_time\n0.95,3\n1.4,4"])
+            page.locator(".measured", has_text="run.csv: 2 of 2 points").wait_for()
+            page.locator(".panel .plot").focus()
+            for _ in range(3):
+                page.keyboard.press("+")
+            wait_shown(page, every=1)
+            page.locator(".measured", has_text="run.csv: 1 of 2 points").wait_for()

@@ -78,7 +78,7 @@ export class MeasuredPoints {
     const { points, view } = this;
     this.line.hidden = !kept.has(this.key);
     if (this.line.hidden) return;
-    const [borders, computedAt] = [cellBorders(view.grid[view.along]), view.computed()];
+    const [borders, computedAt] = [cellBorders(view.lines?.[0].values ?? view.grid[view.along]), view.computed()]; // of a long line its window
     const distance = ({ x, y }) => Math.min(...computedAt(x).map((value) => Math.abs(value - y)));
     const distances = points.filter(({ x }) => x >= borders[0] && x <= borders.at(-1)).map(distance).filter(Number.isFinite).sort((a, b) => a - b);
     const median = (distances[(distances.length - 1) >> 1] + distances[distances.length >> 1]) / 2;
