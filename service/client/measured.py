@@ -4,7 +4,7 @@ import json
 import math
 import re
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -57,17 +57,16 @@ def measured(
             also = " or flight_time_ms" if name == "flight_time" else ""
             columns = ", ".join(map(str, table)) or "none"
             raise BounceError(f"data: needs the column {name}{also}; it has {columns}")
-    error = table["error"].to_numpy() if "error" in table else np.full(len(table), np.nan)
-    points = (table[along].to_numpy(), table[y].to_numpy() * factor, error * factor)
-    inside = np.isfinite(points[0] + points[1])
-    if not inside.any():
+    table = table.assign(y=table[y] * factor, error=table.get("error", math.nan) * factor)
+    table = table.dropna(subset=[along, "y"])
+    if table.empty:
         raise BounceError(f"data: no row has {along} and {y}")
     for name in at.keys() & set(table):
-        inside &= ~(np.abs(table[name].to_numpy() - at[name]) > _NEAR * at[name])
-    if not inside.any():
+        table = table[~((table[name] - at[name]).abs() > _NEAR * at[name])]
+    if table.empty:
         place = ", ".join(f"{axis} = {at[axis]:g}" for axis in sorted(at))
         raise BounceError(f"data: no point is at {place}")
-    return Measured(*(column[inside] for column in points))
+    return Measured(*(table[column].to_numpy() for column in (along, "y", "error")))
 
 
 def element(data: Data) -> str:
@@ -111,17 +110,13 @@ def _table(data: Data, frequency: float | None = None) -> "pandas.DataFrame":
         raise BounceError(f"data: has more than {MOST_ROWS:,} rows")
     if unknown := [str(name) for name in table if name not in _COLUMNS]:
         raise BounceError(f"data: {unknown[0]:.40} is no column here; these are {', '.join(_COLUMNS)}")
-    return pandas.DataFrame({name: _numbers(table[name], str(name)) for name in table})
-
-
-def _numbers(column: Iterable[Any], name: str) -> NDArray[np.float64]:
-    import pandas
-
-    # as texts, of which True and dates are no numbers
-    cells = pandas.Series([str(cell).strip() for cell in column], dtype=object)
-    numbers = pandas.to_numeric(cells, errors="coerce").to_numpy(float)
-    low, rule = (numbers <= 0.0, "above 0") if name == "frequency" else (numbers < 0.0, "of 0 or more")
-    wrong = np.flatnonzero(low | (~np.isfinite(numbers) & ~cells.str.fullmatch(_EMPTY, case=False)))
-    for row in wrong[:1]:
-        raise BounceError(f"data: {name} of row {row + 1} must be a number {rule}, not {cells[row]!r:.40}")
-    return numbers
+    numbers = {}
+    for name in table:
+        # as texts, of which True and dates are no numbers
+        cells = pandas.Series([str(cell).strip() for cell in table[name]], dtype=object)
+        x = numbers[name] = pandas.to_numeric(cells, errors="coerce").to_numpy(float)
+        low, rule = (x <= 0.0, "above 0") if name == "frequency" else (x < 0.0, "of 0 or more")
+        for row in np.flatnonzero(low | (~np.isfinite(x) & ~cells.str.fullmatch(_EMPTY, case=False))):
+            value = f"{name} of row {row + 1}"
+            raise BounceError(f"data: {value} must be a number {rule}, not {cells[row]!r:.40}")
+    return pandas.DataFrame(numbers)
