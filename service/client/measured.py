@@ -22,8 +22,7 @@ Data: TypeAlias = "str | PathLike[str] | pandas.DataFrame | Mapping[str, Any]"
 
 MOST_ROWS: Final = 100_000
 _NEAR: Final = 1e-6  # relative, of values that are the same
-#: As in views/measured.js.
-_EMPTY: Final = "(-?nan?|<na>|nat|n/a|null|none)?"
+_EMPTY: Final = "(-?nan?|<na>|nat|n/a|null|none)?"  # as in views/measured.js
 _COLUMNS: Final = ("gamma", "omega", "xi", "flight_time", "flight_time_ms", "frequency", "error")
 
 

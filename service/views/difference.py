@@ -201,7 +201,8 @@ def draw(result: xarray.Dataset, figure: Figure) -> None:
     attrs = {"hide": "same", "model": result.attrs["other_model"]}
     draw_modes(axes, shown.where(result.differs == 1, 0).assign_attrs(attrs))
     xi = " and ".join(f"{value:g}" for value in sorted({result.xi.item(), result.attrs["other_xi"]}))
-    place = f"{SYMBOLS['xi']} = {xi}, where modes differ: those of the other sweep"
+    ways = " and ".join(dict.fromkeys([result.direction.item(), result.attrs["other_direction"]]))
+    place = f"{SYMBOLS['xi']} = {xi}, {ways}, where modes differ: those of the other sweep"
     sentence = result.attrs["sentence"].replace("; ", ";\n")  # which is wider than the picture
     axes.set_title("")
     axes.set_title(f"{place}\n{sentence}", loc="left", fontsize=10)

@@ -51,6 +51,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     most = f"no threshold moves by more than {moved:.2g} at the 1 of 4 frequencies that both have"
     assert found.attrs["sentence"] == f"{share}; {most}."
     assert all(f"{part}<" in drawn for part in (f"{share};", f"{most}."))
+    assert "rest, where modes differ" in drawn
     np.testing.assert_array_equal(thinned.differs, found.differs[::3, ::3])
     np.testing.assert_array_equal(thinned.up_moved, found.up_moved[::3])
     assert apart.attrs["sentence"] == "No cell of this sweep is within the axes of the other."
