@@ -34,9 +34,9 @@ _NEARLY: Final = 1e-11
 #: Steps of the search for an event. Its range is stretched up to this often, by this factor.
 _STEPS: Final = 80
 _STRETCHES, _STRETCH = 8, 1.3
-#: A value below this part of those at the ends of the range is zero. A search ends after this many values
-#: without a smaller one: the rest is rounding.
-_ZERO, _STALLED = 1e-13, 4
+#: A value below this part of those at the ends of the range is zero. Within this part of the range, a search
+#: ends after this many values without a smaller one: the rest is rounding.
+_ZERO, _NARROW, _STALLED = 1e-13, 1e-2, 4
 
 #: A multiplier this close to 1, -1 or the unit circle makes an event, and two near -1 with a product of both
 #: distances below the second: where they meet, each moves with the square root.
@@ -307,7 +307,8 @@ def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Poin
         since += 1
         if point is not None and abs(value) < best_value:
             best, best_value, since = point, abs(value), 0
-        if best_value < near_zero or since > _STALLED or high - low < 1e-16 + 1e-13 * reach:
+        stalled = since > _STALLED and high - low < _NARROW * reach
+        if best_value < near_zero or stalled or high - low < 1e-16 + 1e-13 * reach:
             break
         if value * first > 0.0:
             low, low_value, high_value = x, value, high_value * (0.5 if side < 0 else 1.0)
