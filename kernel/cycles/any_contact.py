@@ -15,6 +15,7 @@ import numpy as np
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, branch, events_of, join_events
 from kernel.cycles.follow import POINTS, RANGE, End, Event, Followed, ahead, follow
+from kernel.cycles.segments import START
 from kernel.cycles.starts import (
     CycleStart,
     stable_ranges,
@@ -103,7 +104,7 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
         first = ways[-1].points[-1]
         inside = span[0] <= first.parameter <= span[1]
         if inside and not any(lies_on(first, line) for line in followed):
-            followed.append(both_ways(first, span, points))
+            followed.append(both_ways(first, span, points, joins))
     return followed
 
 
@@ -222,11 +223,16 @@ def lies_on(point: Point, line: Followed) -> bool:
             near = [(a, a.x + part * (b.x - a.x))] if len(a.x) == len(b.x) else [(a, a.x), (b, b.x)]
             others = [guess.cycles.at(x, point.parameter) for guess, x in near]
         # near a fold the parameter hardly changes along the branch
-        if a.rising * b.rising < 0.0 and a.letters == point.letters:
+        if a.rising * b.rising < 0.0 and a.letters == point.letters and _apart(a, point) < 2.0 * _apart(a, b):
             others.append(ahead(a, float(a.tangent @ (point.x - a.x))))
         if any(other is not None and _same_flights(other, point) for other in others):
             return True
     return False
+
+
+def _apart(a: Point, b: Point) -> float:
+    """Distance of the states at which two cycles start."""
+    return float(np.linalg.norm(a.x[:START] - b.x[:START]))
 
 
 def _same_flights(a: Point, b: Point) -> bool:

@@ -135,9 +135,22 @@ def test_a_branch_at_small_gamma():
     assert line.events[0].point.parameter == pytest.approx(0.04 / np.sqrt(1.0016), abs=1e-8)
 
 
-@pytest.mark.parametrize(("plate", "omega", "xi"), [(soft(), 1.0, 0.26), (soft(adhesive=False), 0.6, 0.05)])
+@pytest.mark.parametrize(
+    ("plate", "omega", "xi"),
+    [(soft(), 1.0, 0.26), (soft(adhesive=False), 0.6, 0.05), (rigid(0.325), 0.6829, 0.0973)],
+)
 def test_a_branch_is_listed_once(plate, omega, xi):
-    assert len(branches(plate, omega, xi, 1)) == 1
+    lines = branches(plate, omega, xi, 1)
+    assert sum(event.kind is End.REST for line in lines for event in line.events) == 1
+
+
+def test_pieces_of_a_branch_that_was_cut_off_meet_and_do_not_overlap():
+    cut, rest = branches(soft(penetration=0.00831), 0.283, 0.0477, 1)
+    events = [(event.kind, round(event.point.parameter, 9)) for event in [*cut.events, *rest.events]]
+    assert len(set(events)) == len(events)
+    assert (FOLD, 1.566024489) in events
+    cut, rest = branches(soft(0.237, 0.00214, adhesive=False), 0.3212, 0.0723, 1)
+    assert max(cut.points[-1].flights) == pytest.approx(max(rest.points[0].flights), abs=0.05)
 
 
 def test_a_closed_branch_is_followed_once_round():
