@@ -177,7 +177,9 @@ def _sentence(
     bound = _UPWARDS.create_decimal(f"{most:.9g}").normalize()  # without the rounding of a difference
     threshold = "no threshold moves" + (f" by more than {bound:f}" if most > 0.0 else "")
     threshold = threshold if most >= 0.0 else "there is no threshold in both"
-    if not shared.all():
+    if not shared.any():
+        threshold = "no frequency is in both"
+    elif not shared.all():
         threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
     cells = "the cells" if both.all() else f"the {both.sum():,} of {both.size:,} cells of both"
     share = 100.0 * same[both].mean()

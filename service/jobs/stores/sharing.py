@@ -18,7 +18,7 @@ from service.errors import IllegalTransition, InvalidRequest, NotAdoptable
 from service.jobs.stores.adoption import adopt
 from service.jobs.stores.opening import find_unknown, id_of
 from service.ledger.ledger import Ledger
-from service.ledger.model import JobRecord, JobState
+from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
 from service.software import checked_runs
 from worker import store
@@ -98,9 +98,8 @@ def import_shared(
     job_id = spec.job_id(KERNEL_VERSION)
     if (existing := ledger.find(job_id)) is not None:
         if existing.state is not JobState.DONE:
-            raise IllegalTransition(
-                f"the job of this file is {existing.state} here: wait for it, or delete it"
-            )
+            way = "wait for it" if existing.state in UNFINISHED else "resume it"
+            raise IllegalTransition(f"the job of this file is {existing.state} here: {way}, or delete it")
         return existing, False
     with ledger.writing() as writing:
         number = writing.newest_seq() + 1

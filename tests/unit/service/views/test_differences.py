@@ -71,3 +71,5 @@ def test_the_sentence_does_not_say_too_much(moved: float, bound: str):
     found = _sentence(same, np.ones_like(same), {"up_moved": np.array([moved])}, np.array([True]))
     share = "99.99 % of the cells have the same mode"
     assert found == f"{share}; no threshold moves by more than {bound}."
+    found = _sentence(same, same, {"up_moved": np.array([np.nan])}, np.array([False]))
+    assert found.endswith("; no frequency is in both.")
