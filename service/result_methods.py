@@ -406,9 +406,9 @@ class SpringMethods(Methods):
         `cycle_state`, `plate_contact` (m A² ω²), `plate_impact` (m A² ω²), `dashpot` (m A² ω²), `impact` (m
         A² ω²), `force` (m A ω), `impulse` (m A ω), `weight` (m A ω), `branch_bounces`, `branch_periods`,
         `points`, `event_complete`, `event_kind`, `event_gamma`, `event_omega`, `event_xi`, `event_bounces`,
-        `event_periods`, `event_flight_time` (rad), `event_violations`, `event_multipliers`. Waits up to
-        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
-        TooLarge naming what fits.
+        `event_periods`, `event_flight_time` (rad), `event_violations`, `event_multipliers`, `event_branch`.
+        Waits up to `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the
+        parameter, TooLarge naming what fits.
         """
         return self.result("orbits", omega=omega, xi=xi, modes=modes, gamma_max=gamma_max, points=points, start=start, stop=stop, flight_start=flight_start, flight_stop=flight_stop, energy=energy, prove=prove, along=along, gamma=gamma, doubled=doubled, model=model, restitution=restitution, penetration=penetration, adhesive=adhesive, timeout=timeout, progress=progress)
 

@@ -19,12 +19,12 @@ from service.views.springs.branches import (
     OF_CELLS,
     OF_POINT,
     ROWS,
-    below,
     columns,
     cycle_result,
     event_columns,
     of_branches,
     padded,
+    pieces_below,
     with_flights,
 )
 from service.views.springs.queries import MAX_GAMMA, name_of
@@ -147,12 +147,14 @@ def _stored_branches(study: selection.Stored[OrbitsSpec], query: CellsQuery) -> 
         Branch(periods, omega, xi, flights=one, bounces=one, **{name: x[name][i] for name in of_point})
         for i, periods in enumerate(spec.periods)
     ]
-    pieces = [piece for branch in branches for piece in below(branch, top)]
     shown = (x["event_kind"] > 0) & (x["event_gamma"] <= top)
+    of_branch = [shown & (x["event_periods"] == periods) for periods in spec.periods]
+    places = [(x["event_gamma"][own], x["event_flight_time"][own]) for own in of_branch]
+    pieces, on = pieces_below(branches, places, top)
     events = {name: x[f"event_{name}"][shown] for name in EVENT_FIELDS if f"event_{name}" in x}
     events["kind"] = np.array(["", *KINDS])[events["kind"]]
     events |= {axis: np.full(int(shown.sum()), point.value) for axis, point in spring.items()}
-    data = padded(OF_POINT, pieces) | columns("event", events)
+    data = padded(OF_POINT, pieces) | columns("event", events) | on
     coords = of_branches(pieces) | {axis: coordinate(axis, point.value) for axis, point in spring.items()}
     return cycle_result(data, coords, study.is_complete(x["outcome"]), gamma_max=top)
 

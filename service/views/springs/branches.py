@@ -68,7 +68,8 @@ ROWS: Final[Mapping[str, Array]] = _STORED | {
         row("event_kind", ("event",), "U", "kind of event"),
         *(Array(f"event_{axis}", ("event",), "<f8", 0, COORDINATES[axis]) for axis in AXES[::-1]),
         row("event_multipliers", ("event", *_PARTS), "<f8", "Floquet multipliers"),
-        row("event_branch", ("event",), "<i4", "index of the branch that the event is on"),
+        row("event_branch", ("event",), "<i4", "index of the branch that the event is on",
+            comment="-1: no point of it is shown"),
         row("event_complete", ("event",), "?", "whether all of its kind were counted, with proof"),
         *(Array(f"skipped_{x}", ("skipped",), "<f8", 0, COORDINATES[x]) for x in ("gamma", "omega", "xi")),
         *_of_cycle("skipped", "cell from which no branch was followed"),
@@ -161,3 +162,24 @@ def with_flights(branches: Sequence[Branch]) -> dict[str, xarray.Variable]:
 def below(record: Record, gamma_max: float) -> list[Record]:
     """The connected parts of a branch or curve up to `gamma_max`."""
     return [rows_of(record, slice(*part)) for part in stretches(record.gamma <= gamma_max)]
+
+
+def pieces_below(
+    branches: Sequence[Branch],
+    events: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    gamma_max: float,
+) -> tuple[list[Branch], dict[str, xarray.Variable]]:
+    """The parts of branches up to `gamma_max`, and which of them each event is on.
+
+    events: gamma (n,) and flight time (n,) of those on each branch.
+    """
+    pieces: list[Branch] = []
+    on: list[int] = []
+    for branch, own in zip(branches, events, strict=True):
+        parts = below(branch, gamma_max)
+        longest = [part.flight_time.reshape(len(part.gamma), -1)[:, 0] for part in parts]
+        for gamma, time in zip(*own, strict=True):
+            away = [np.hypot(x.gamma - gamma, t - time).min() for x, t in zip(parts, longest, strict=True)]
+            on.append(len(pieces) + int(np.argmin(away)) if parts else -1)
+        pieces += parts
+    return pieces, columns("event", {"branch": np.array(on, int)})

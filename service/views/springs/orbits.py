@@ -21,12 +21,12 @@ from service.views.springs.branches import (
     EVENTS,
     OF_POINT,
     ROWS,
-    below,
     columns,
     cycle_result,
     event_columns,
     of_branches,
     padded,
+    pieces_below,
     with_flights,
 )
 from service.views.springs.queries import (
@@ -145,13 +145,14 @@ def compute(
             branches.append(_finer(*part, query) if query.has_window else part[0])
             events.append(part[1])
     top = max(query.gamma_max, query.gamma or 0.0)
-    pieces = [piece for branch in branches for piece in below(branch, top)]
+    kept = [rows_of(each, each.gamma <= top) for each in events]
+    pieces, on = pieces_below(branches, [(x.gamma, x.flight_time) for x in kept], top)
     data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)
     if plate is not None:
         data |= padded(("flights", "cycle_state"), pieces)
     if query.energy:
         data |= padded(BALANCE, [energy(query.omega, query.xi, x.periods, x.flight_time) for x in pieces])
-    data |= event_columns(join_events([rows_of(e, e.gamma <= top) for e in events]))
+    data |= event_columns(join_events(kept)) | on
     if query.prove:
         complete = [proofs.of_events(e)[e.gamma <= top] for e in events]
         data |= columns("event", {"complete": np.concatenate(complete)})
@@ -233,7 +234,7 @@ VIEW: Final = View(
     "orbits", "Branches of a spring", None, OrbitsQuery, compute, estimate,
     variables=(
         *(ROWS[x] for x in (*OF_POINT, "flights", "cycle_state", *BALANCE, *BRANCH, "event_complete")),
-        *EVENTS,
+        *EVENTS, ROWS["event_branch"],
     ),
     rows="gamma", printed=("points", "event_gamma"), parts=parts, draw=draw,
 )  # fmt: skip

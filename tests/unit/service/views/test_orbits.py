@@ -83,6 +83,12 @@ def test_branches_are_as_smooth_in_a_window(python_client: Client):
     assert np.interp(0.5533, stable.gamma, stable.flight_time) == pytest.approx(4.1882262, abs=1e-4)
 
 
+def test_events_name_the_piece_of_a_branch_that_they_are_on(python_client: Client):
+    answer = python_client.orbits(0.6, 0.05, "1-1", gamma_max=0.9, progress=False)
+    assert answer.sizes["branch"] == 2  # which meet above
+    assert answer.event_branch.values.tolist() == [1, 1]
+
+
 def test_doubled_branches_have_flips_of_their_own(python_client: Client):
     """The flip is that of issue 45; those of other contacts are in kernel/cycles/test_changes.py."""
     answer = python_client.orbits(
@@ -91,6 +97,7 @@ def test_doubled_branches_have_flips_of_their_own(python_client: Client):
     assert answer.branch_periods.values.tolist() == [1, 2]
     of_doubled = (answer.event_kind == "flip") & (answer.event_periods == 2)
     assert answer.event_gamma.values[of_doubled.values] == pytest.approx([2.504559485239], abs=1e-9)
+    assert answer.event_branch.values.tolist() == (answer.event_periods.values - 1).tolist()
     # its two long flights part where it begins, at the flip of the single one
     first, second = answer.flight_time.values[1, : int(answer.points[1]), :2].T
     begins = np.argmin(first - second)
