@@ -87,6 +87,8 @@ def test_events_name_the_piece_of_a_branch_that_they_are_on(python_client: Clien
     answer = python_client.orbits(0.6, 0.05, "1-1", gamma_max=0.9, progress=False)
     assert answer.sizes["branch"] == 2  # which meet above
     assert answer.event_branch.values.tolist() == [1, 1]
+    answer = python_client.orbits(0.6, 0.05, "1-1", gamma_max=0.5532446, progress=False)
+    assert (answer.event_kind.item(), answer.event_branch.item()) == ("fold", -1)  # all points are above it
 
 
 def test_doubled_branches_have_flips_of_their_own(python_client: Client):
