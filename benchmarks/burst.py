@@ -1,6 +1,6 @@
 """What a burst of costly requests leaves to jobs, polls and memory, and when it is answered.
 
-    python -m benchmarks.burst [--requests 500] [--clients 8] [--cells 100000] [--seconds 20]
+    python -m benchmarks.burst [--requests 200] [--clients 8] [--cells 100000] [--seconds 20]
     python -m benchmarks.burst --small-only [--costly 200] [--cells 100000]
 
 Runs `bounce serve` with two workers. First the jobs' throughput alone, then while `clients` connections send
@@ -351,7 +351,7 @@ def measure(service: Serving, arguments: argparse.Namespace) -> bool:
 def main() -> int:
     """Print the figures."""
     arguments = options(
-        __doc__, requests=500, clients=8, cells=100_000, seconds=20.0, costly=200, small_only=False
+        __doc__, requests=200, clients=8, cells=100_000, seconds=20.0, costly=200, small_only=False
     )
     print(describe("fastapi", "uvicorn", "matplotlib"))
     with tempfile.TemporaryDirectory() as folder, Serving(Path(folder)) as service:

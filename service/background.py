@@ -20,11 +20,11 @@ from worker.kernel_cache import use_cache
 
 Result = TypeVar("Result")
 
-#: Added to the niceness of these processes: two of them take a tenth of two busy processors.
-NICER: Final = 10
+#: Added to the niceness of these processes: two of them take at most a quarter of two busy processors.
+NICER: Final = 5
 #: A process that uses more bytes than this after an answer ends, to return its memory. All imports and loads
-#: take 350 MB, and a new process seconds of a processor for them.
-MOST_KEPT: Final = 400 * 2**20
+#: take 400 MB, and a new process seconds of a processor for them.
+MOST_KEPT: Final = 512 * 2**20
 #: Growth in bytes after which a process has the C library return memory.
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
@@ -232,17 +232,16 @@ class _Process:
 def _compute(connection: Connection) -> None:
     """Answer calls until the service ends."""
     threading.Thread(target=_end_when_told, daemon=True).start()
-    os.nice(NICER)
-    if hasattr(os, "SCHED_BATCH"):  # Linux: batch processes do not interrupt a running worker
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     threading.Thread(target=_end_with_parent, daemon=True).start()
     use_cache()
-    trimmed = 0
+    lowered, trimmed = False, 0
     while True:
         try:
             function, arguments = connection.recv()
         except (EOFError, OSError):
             os._exit(0)
+        if not lowered:  # the first call imports, which beside busy workers would take a minute
+            lowered = _lower_priority()
         try:
             answer = (True, function(*arguments))
         except Exception as error:  # noqa: BLE001 - raised again in the caller
@@ -257,6 +256,13 @@ def _compute(connection: Connection) -> None:
             return_memory()
             held = trimmed = _bytes_held()
         connection.send(held)
+
+
+def _lower_priority() -> bool:
+    os.nice(NICER)
+    if hasattr(os, "SCHED_BATCH"):  # Linux: batch processes do not interrupt a running worker
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    return True
 
 
 def _end_when_told() -> None:
