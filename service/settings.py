@@ -54,6 +54,12 @@ def _hosts(values: frozenset[str]) -> frozenset[str]:
     return values
 
 
+def _cluster(name: str) -> str:
+    if not re.fullmatch(r"[\w.]+:\w+", name):
+        raise ValueError(f"{name[:80]}: write module:function, such as clusters:slurm")
+    return name
+
+
 class Settings(BaseSettings):
     """Where the service listens, keeps data and computes, and how much one request may ask for."""
 
@@ -100,7 +106,7 @@ class Settings(BaseSettings):
     scheduler_file: Path | None = Field(
         None, description="File written by `dask scheduler --scheduler-file`."
     )
-    cluster: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")] | None = Field(
+    cluster: Annotated[str, AfterValidator(_cluster)] | None = Field(
         None, description="`module:function` that returns a Dask cluster to compute with."
     )
     scheduler_ca: FilePath | None = Field(

@@ -74,7 +74,7 @@ def display_parts(progress: Progress) -> Callable[[int, int], None]:
         nonlocal last
         if progress and (last is None or (done - last) * 100.0 >= LINE_PERCENT * total):
             last = done
-            display_line(f"computed {done} of {total} parts")
+            display_line(f"computed {done} of {total} parts" if done else "computing")
 
     return show
 

@@ -276,7 +276,7 @@ def test_a_wait_and_a_result_outlive_a_restart_of_the_service(capsys: pytest.Cap
         job = client.job(ID).wait(progress=False)
         assert job.state == "done"
         assert job.result_file("threshold", "json", progress=True) == b"{}"
-    assert "computed 0 of 1 parts\nno workers yet\n" in capsys.readouterr().err
+    assert "computing\nno workers yet\n" in capsys.readouterr().err
 
 
 def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue():
