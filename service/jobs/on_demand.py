@@ -30,8 +30,8 @@ ABANDONED_SECONDS: Final = 75.0
 
 #: Long-run share of the workers' time for calls while chunks of jobs are computed.
 SHARE: Final = 1 / 16
-#: Core-seconds of calls that may be computed beside jobs before the share applies.
-CREDIT_SECONDS: Final = 5.0
+#: Core-seconds of calls that may be computed beside jobs before the share applies: an audit of a sweep.
+CREDIT_SECONDS: Final = 20.0
 #: Seconds between two checks for abandoned results, and for calls whose turn has come.
 LOOK_SECONDS: Final = 0.2
 
