@@ -32,6 +32,9 @@ _UNKNOWN: Final = (Outcome.MISSING, Outcome.UNRESOLVED, Outcome.DIVERGED, Outcom
 _COMPARED: Final = selection.MAX_READ // 4
 _PER_COMPARED: Final = 48
 
+#: Bytes of memory for each cell of a plane with cells filled in.
+_PER_FILLED: Final = 64
+
 _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
     *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, selection.LABEL, COMPUTED,
@@ -77,7 +80,8 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
 
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
     unless one is selected. In an adaptive map `computed` marks the computed cells, and the attribute
-    `computed_share` is their share; others have the values of the nearest corner or centre of their block.
+    `computed_share` is their share; others have the mode of the nearest corner or centre of their block, and
+    the label and the multiplier of a computed cell of that mode beside them.
     With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
     """
     spec, directions = study.spec, selection.directions_of(study.spec, query.direction)
@@ -91,6 +95,8 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
         )
         certified = {name: arrays[name] for name in certificates}
         cells[direction] = selection.recounted(spec, arrays, query.min_flight) | certified
+        if spec.fills_in:
+            cells[direction] |= _filled_in(cells[direction])
     coords = {"xi": coordinate("xi", xi.value)}
     coords |= {axis: coordinate(axis, spec.axis_values(axis)[part]) for axis, part in window.items()}
     attrs: dict[str, Any] = {
@@ -109,6 +115,29 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
         result["hysteresis"] = variable(_PLANE, compared, _HYSTERESIS)
         result.attrs["complete"] &= complete
     return result
+
+
+def _filled_in(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Label and multiplier of a plane, of cells that are filled in those of the nearest computed cell.
+
+    Steps lead to it from cell to cell of the same mode.
+    """
+    names = [name for name in (selection.LABEL.name, "multiplier") if name in arrays]
+    if not names:
+        return {}
+    *modes, computed = (np.pad(arrays[name], 1).ravel() for name in (*schema.MODE_ARRAYS, COMPUTED.name))
+    source, known = np.arange(computed.size).reshape(-1, arrays[COMPUTED.name].shape[1] + 2), computed == 1
+    inner, flat = source[1:-1, 1:-1], source.ravel()
+    waiting, before = inner[arrays[COMPUTED.name] == 0], -1
+    while before != len(waiting):
+        before = len(waiting)
+        for step in (1, -1, source.shape[1], -source.shape[1]):
+            near = waiting + step
+            takes = np.logical_and.reduce([known[near], *(mode[near] == mode[waiting] for mode in modes)])
+            flat[waiting[takes]] = flat[near[takes]]
+            known[waiting[takes]] = True
+            waiting = waiting[~takes]
+    return {name: np.pad(arrays[name], 1).ravel()[inner] for name in names}
 
 
 def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:
@@ -139,7 +168,8 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
     if query.color == "multiplier" and not spec.certifies:
         able = "one with settle 'auto' and no exponents" if spec.model.certifies else "one of a soft contact"
         raise InvalidRequest.of("color", f"must be 'mode': this sweep certifies no cells, as {able} does")
-    memory, most = 0, None
+    cells = prod(-(-n // query.every) for n in lengths.values())
+    memory, most = _PER_FILLED * cells * spec.fills_in, None
     if selection.needs_flights(spec, query.min_flight):
         if spec.fills_in:
             rule = (
@@ -150,7 +180,7 @@ def estimate(spec: SweepSpec, query: ModesQuery) -> Estimate:
             )
             raise InvalidRequest.of("min_flight", rule)
         most = max(1, selection.MAX_READ // spec.keep)
-        memory = 100 * spec.keep * min(most, prod(-(-n // query.every) for n in lengths.values()))
+        memory = 100 * spec.keep * min(most, cells)
     if query.hysteresis:
         if len(spec.directions) < 2:
             way = "from rest" if spec.ramp_axis is None else f"ramped {spec.directions[0]} only"

@@ -1040,7 +1040,9 @@ def test_a_map_shows_the_margin_of_stability_of_certified_cells(browser: Any, ad
     job, filled = done(address, margins), done(address, margins | {"refine": {"by": "mode"}})
     with opened(browser, view(address, filled, "modes")) as page:
         page.locator(".note", has_text="Adaptive map").wait_for()
-        assert page.get_by_label("Colour").count() == 0  # filled cells would be chequers
+        page.get_by_label("Colour").select_option("margin of stability |μ|")
+        page.locator(".legend", has_text="|μ| 0.2 to 0.4").wait_for()
+        assert "(1, 1)" not in page.locator(".legend").inner_text()  # filled cells have a margin, too
     with opened(browser, view(address, job, "modes")) as page:
         page.locator(".legend", has_text="(1, 1)").wait_for()
         page.get_by_label("Colour").select_option("margin of stability |μ|")

@@ -117,8 +117,8 @@ export function cellColumns(variables, locate) {
   ].filter(Boolean);
 }
 
-/** Whether cells end as certified, all of them: those that a map fills in have no certificates, and would be drawn as chequers. */
-export const certifies = ({ settle, exponents, model, refine }) => settle === "auto" && !exponents && !refine && model.kind !== "stepped";
+/** Whether cells end as certified. */
+export const certifies = ({ settle, exponents, model }) => settle === "auto" && !exponents && model.kind !== "stepped";
 const START_FIELDS = { __proto__: null, cycle: ["periods", "flight_time"], drop: ["height", "phase"], contact: ["elongation", "velocity"], attractor: ["number"] };
 /** How addresses name a start in place of a direction: on a cycle ("cycle", its periods, its flight time, a state if it is known), with a drop, in contact, on an attractor. */
 export const startName = (kind, ...values) => [kind, ...values.map((value) => Number(value.toPrecision(12)))].join(":");

@@ -11,6 +11,9 @@ from scripted import Held, wait_for
 from served import finished, get, read, service
 from studies import spec_of
 
+from kernel.labels import CHAOTIC
+from kernel.params import Outcome
+
 SPACE = spec_of(
     (0.4, 2.4, 49), (0.4, 1.0, 41), 0.05, name="thresholds and modes", until=5_000, observe=60, keep=8
 )
@@ -35,6 +38,27 @@ def test_a_mode_map_counts_no_flights_anew(client: TestClient, adaptive: str):
     assert answer.status_code == 422
     assert "min_flight" in answer.text
     assert client.get(f"{adaptive}/modes?min_flight=0.05").status_code == 200
+
+
+def test_filled_cells_have_the_margin_and_the_label_of_a_computed_cell_of_their_mode(
+    client: TestClient, full: str, adaptive: str
+):
+    whole, part = (read(client, f"{job}/modes", color="multiplier") for job in (full, adaptive))
+    filled, certified = ~part.computed.astype(bool), np.isfinite(whole.multiplier)
+    same = np.logical_and.reduce([whole[name] == part[name] for name in ("outcome", "bounces", "periods")])
+    np.testing.assert_array_equal(part.multiplier.where(~filled), whole.multiplier.where(~filled))
+    cells = (filled & same & certified).values
+    assert cells.sum() > 100
+    assert set(part.multiplier.values[cells]) <= set(part.multiplier.values[~filled.values])
+    assert np.median(abs(part.multiplier - whole.multiplier).values[cells]) < 0.1
+    assert np.isnan(part.flight_error.values[filled.values]).all()  # no certificate
+    chaos = spec_of(
+        (4.4, 5.2, 33), (0.5, 0.8, 33), 0.26, window=(50, 50, 8), exponents=1, refine={"by": "mode"}
+    )
+    labels = read(client, f"{finished(client, chaos)}/modes")
+    filled = ~labels.computed.astype(bool) & (labels.outcome == Outcome.APERIODIC)
+    assert filled.sum() > 100
+    assert (labels.label.values[filled.values] == CHAOTIC).mean() > 0.9
 
 
 def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full: str, adaptive: str):
