@@ -470,7 +470,9 @@ def draw_modes(ax: Axes, modes: xarray.Dataset) -> None:
     mark_single(ax, modes.gamma.values, modes.omega.values)
     way = str(modes.direction.values) if "direction" in modes else "rest"
     ramped = "" if way == "rest" else f", {_WAYS[way]}"
-    ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}")
+    share = modes.attrs.get("computed_share", 1.0)
+    filled = "" if share == 1.0 else f", {100.0 * share:.2g} % of the cells computed"
+    ax.set_title(f"{values_at(modes, ['xi'])}, {counted}{ramped}{filled}")
     _set_scales(ax, modes)
 
 

@@ -52,6 +52,11 @@ def test_filled_cells_have_the_margin_and_the_label_of_a_computed_cell_of_their_
     assert set(part.multiplier.values[cells]) <= set(part.multiplier.values[~filled.values])
     assert np.median(abs(part.multiplier - whole.multiplier).values[cells]) < 0.1
     assert np.isnan(part.flight_error.values[filled.values]).all()  # no certificate
+    assert (
+        f"{100.0 * part.attrs['computed_share']:.2g} % of the cells computed"
+        in part.bounce.plot().get_title()
+    )
+    assert "computed" not in whole.bounce.plot().get_title()
     chaos = spec_of(
         (4.4, 5.2, 33), (0.5, 0.8, 33), 0.26, window=(50, 50, 8), exponents=1, refine={"by": "mode"}
     )
