@@ -1081,6 +1081,12 @@ def test_a_map_of_too_many_cells_is_thinned_until_it_is_zoomed(browser: Any, tmp
         with opened(browser, view(address, job, "modes"), expected=("413",)) as page:
             note = page.get_by_text("Shown: 1 in 2")
             note.wait_for()
+            asked: list[int] = []
+            page.on("response", lambda response: "/modes" in response.url and asked.append(response.status))
+            for tab in ("Diagram", "Mode map"):
+                open_tab(page, tab)
+            note.wait_for()
+            assert asked == [200]  # what was refused once is not asked for again
             page.locator(".panel .plot").focus()
             for _ in range(3):
                 page.keyboard.press("+")

@@ -39,11 +39,15 @@ export function buildFrame(root, { bar, line, tabs = false, problem = false }) {
   return { controls, panel, secondPanel, trajectorySection };
 }
 
-/** A result; of more points than the service sends, every n-th, as its refusal says. */
-const requestFitting = (path, options) => requestDataset(path, options).catch((error) => {
+/** How many points of the results at these paths are one that fits, as the service said when it refused them all. */
+const fitting = new Map();
+
+/** A result; of more points than the service sends, every n-th. */
+const requestFitting = (path, options) => requestDataset(path + (fitting.get(path) ?? ""), options).catch((error) => {
   const [, every] = /every=(\d+) fits/.exec(error.message) ?? [];
-  if (!every) throw error;
-  return requestDataset(`${path}&every=${every}`, options);
+  if (!every || fitting.has(path)) throw error;
+  fitting.set(path, `&every=${every}`); // a running sweep is asked for each second
+  return requestFitting(path, options);
 });
 
 /** A view of one source or several around a Plot. Its state is the query of the page's address. A subclass defines
