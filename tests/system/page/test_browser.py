@@ -634,6 +634,9 @@ def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(showin
         page.locator(".trajectory li", has_text=" rad").first.wait_for()
         page.keyboard.press("Escape")
         page.locator(".trajectory").wait_for(state="hidden")
+        page.get_by_text("Table of what is shown").click()
+        page.get_by_role("columnheader", name="mode").wait_for()
+        assert plot.bounding_box() == box
 
 
 def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(showing: Any):
