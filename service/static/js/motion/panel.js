@@ -44,9 +44,8 @@ export class TrajectoryPanel {
     this.readout = h("p", { className: "readout", role: "status" });
     [this.player, this.portraits] = [new Player(signal), new Portraits(signal)];
     root.replaceChildren(
-      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.readout, this.proof, this.files, this.values),
-      h("div", {}, this.note, this.problem.element, this.player.element),
-      this.portraits.element,
+      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.note, this.problem.element, this.readout, this.proof, this.files, this.values),
+      this.player.element, this.portraits.element,
       ...(onClose ? [button("×", onClose, { className: "quiet close", "aria-label": "Close", title: "Close" })] : []));
     root.classList.add("empty");
     signal.addEventListener("abort", () => this.hide());
