@@ -80,7 +80,7 @@ export function drawFrame(ctx, box, { x, y }) {
   ctx.font = `italic ${title.size}px ${theme.serif}`;
   const fitting = (label, space) => (ctx.measureText(label).width < space ? label : label.replace(/.* (?=[ΓΩξφ])/, "")); // or its symbol alone
   if (x.label) texts.push({ ...title, text: fitting(x.label, width + 44), x: left + width / 2, y: top + height + 36 });
-  if (y.label) texts.push({ ...title, text: fitting(y.label, height + 24), x: box.narrow ? 9 : 12, y: top + height / 2, turned: true });
+  if (y.label && !y.isTitled) texts.push({ ...title, text: fitting(y.label, height + 24), x: box.narrow ? 9 : 12, y: top + height / 2, turned: true });
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures; on the right there may be labels of plate periods instead. */

@@ -58,7 +58,7 @@ export class Diagram extends PlotView {
       margins: [left, this.plot.element.clientWidth - left - width],
       x: { label: "", low: x.low, high: x.high, log: x.log },
       title: "λ₁ per plate period",
-      y: { label: "λ₁", low: low - margin, high: high + margin },
+      y: { label: "λ₁", isTitled: true, low: low - margin, high: high + margin },
       layers: [
         (ctx, box) => polyline(ctx, box.theme.border, 1, [[box.left, box.y.pixel(0)], [box.left + box.width, box.y.pixel(0)]]),
         (ctx, box) => points.forEach(({ line, value, exponent }) => disc(ctx, this.#colour(line, box.theme), box.x.pixel(value), box.y.pixel(exponent), 1.4)),
