@@ -11,9 +11,9 @@ const PNG_RATIO = 3; // pixels of a file per CSS pixel
 let plots = 0;
 
 /** `content()` returns what to draw, null before anything is loaded:
- *   x: {label, low, high, log, single (value, of its only tick)}, y: {label, low, high, log, periods (mark whole plate periods)},
+ *   x: {label, low, high, log, single (value, of its only tick)}, y: {label, low, high, log, periods (mark whole plate periods), isTitled (title names it)},
  *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
- *   title, message (shown in the middle of an empty plot),
+ *   title, message (shown in the middle of an empty plot), above: {height, draw: (ctx, box) => …}, of strips above the box,
  *   margins: [left, right], in px, where they are those of another plot,
  *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide, if it has one], …].
  * Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts. */
@@ -61,6 +61,7 @@ export class Plot {
     if (content.y.periods) drawPeriods(ctx, box);
     clipped(ctx, box, () => content.layers.forEach((layer) => layer(ctx, box)));
     drawFrame(ctx, box, content);
+    content.above?.draw(ctx, box);
     drawHeadings(ctx, box);
     drawTexts(ctx, box);
     return box;

@@ -151,12 +151,12 @@ export class Diagram extends PlotView {
       title: this.#title(),
       legend: [...this.#legend(), ...(cycles ? branchLegend(ofOtherPlate(this.job)) : [])],
       message: emptyMessage(lines),
+      above: this.isCompared ? null : { height: lines.length * (STRIP + 1), draw: (ctx, box) => drawStrips(ctx, box, lines, this.legend.hidden) },
       layers: [
-        (ctx, box) => hasThreshold && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi), lines.length * (STRIP + 1)),
+        (ctx, box) => hasThreshold && drawThreshold(ctx, box, threshold(fixed.omega, fixed.xi)),
         (ctx, box) => drawFlights(ctx, box, this.#visibleLines(), (line) => this.#colour(line, box.theme)),
         (ctx, box) => cycles && drawBranches(ctx, box, cycles),
         (ctx, box) => this.measured?.draw(ctx, box),
-        (ctx, box) => !this.isCompared && drawStrips(ctx, box, lines, this.legend.hidden),
       ],
     };
   }
@@ -290,7 +290,7 @@ function linesOf(source, result) {
   });
 }
 
-/** A strip for each line at the top: the colour of each cell's mode. */
+/** A strip for each line above the box: the colour of each cell's mode. */
 function drawStrips(ctx, box, lines, hidden) {
   lines.forEach(({ values, classes }, i) => {
     const borders = cellBorders(values);
@@ -298,7 +298,7 @@ function drawStrips(ctx, box, lines, hidden) {
     for (let x = Math.ceil(first); x < end; x++) {
       const id = classes[nearestIndex(values, box.x.value(x + 0.5))];
       ctx.fillStyle = hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark);
-      ctx.fillRect(x, box.top + 1 + i * (STRIP + 1), 1, STRIP);
+      ctx.fillRect(x, box.top - (lines.length - i) * (STRIP + 1), 1, STRIP);
     }
   });
 }
@@ -311,12 +311,12 @@ function emptyMessage(lines) {
   return allAre(OUTCOME.atRest) ? "The spring stays on the plate" : "No flights to show";
 }
 
-/** The Γ at which rest ends, labelled Γ_th `below` px further down, where it lies in the box. */
-export function drawThreshold(ctx, box, gamma, below = 0) {
+/** The Γ at which rest ends, labelled Γ_th, where it lies in the box. */
+export function drawThreshold(ctx, box, gamma) {
   const x = box.x.pixel(gamma);
   if (!(x >= box.left && x <= box.left + box.width)) return;
   verticalLine(ctx, box, x, box.theme.threshold, 1.2, [5, 4]);
-  const letter = { x: x + 32 < box.left + box.width ? x + 5 : x - 26, y: box.top + below + 17, colour: box.theme.threshold };
+  const letter = { x: x + 32 < box.left + box.width ? x + 5 : x - 26, y: box.top + 17, colour: box.theme.threshold };
   box.texts.push({ ...letter, text: "Γ", size: 15, italic: true }, { ...letter, text: "th", size: 11, x: letter.x + 11, y: letter.y + 5 });
 }
 
