@@ -100,7 +100,7 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         page.locator("[data-field='gamma.num']").fill("120")
         page.get_by_label("contact model").select_option("rigid")
         efforts = page.locator("select[data-field=effort] option").all_inner_texts()
-        assert efforts == ["as set below", "draft", "standard", "thorough"]
+        assert efforts == ["as under Recording", "draft", "standard", "thorough"]
         page.locator("summary", has_text="Recording").click()
         page.locator("[data-field=settle]").fill("20000")
         cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · about .+ on 2 workers")).wait_for()
@@ -176,7 +176,7 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
     with opened(browser, f"{address}/#/new?figure=2") as page:
         page.get_by_label("number of values").first.fill("120")
         page.get_by_label("contact model").select_option("rigid")
-        page.get_by_text("What does a time buy?").click()
+        page.get_by_text("Plan for a given time").click()
         page.get_by_label("Time", exact=True).fill("soon")
         page.get_by_role("button", name="Compare settings").click()
         page.get_by_text("The time must be such as 90s, 5m or 1h.").wait_for()
@@ -201,7 +201,7 @@ def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: st
         fields = {"gamma.num": 300, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 100}
         for name, value in fields.items():
             page.locator(f"[data-field='{name}']").fill(str(value))
-        page.get_by_text("What does a time buy?").click()
+        page.get_by_text("Plan for a given time").click()
         page.get_by_label("Time", exact=True).fill("60s")
         with page.expect_response(lambda answer: "budget=" in answer.url) as posted:
             page.get_by_role("button", name="Compute within this time").click()
@@ -662,6 +662,10 @@ def test_a_window_of_a_ramp_keeps_the_ends_where_it_begins(showing: Any):
         page.locator(".cost", has_text="cells in").wait_for()
         fields = [page.locator(f"[data-field='gamma.{name}']") for name in ("start", "stop", "num")]
         assert [field.input_value() for field in fields] == ["0.3", "1.4", "1211"]
+        contact = page.get_by_label("contact model")  # as that of the ramp
+        assert contact.is_hidden()
+        page.get_by_role("button", name="All settings").click()
+        contact.wait_for()
 
 
 def _width(page: Any) -> float:

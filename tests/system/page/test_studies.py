@@ -88,6 +88,9 @@ def test_a_map_shows_its_computed_cells_and_a_window_of_it_is_refined(browser: A
         page.locator(".panel .note", has_text="Adaptive map").wait_for()
         page.get_by_role("link", name="window of another sweep").click()
         page.locator("#bar h1", has_text=re.compile("^An adaptive map$")).wait_for()
+        page.goto(f"{address}/#/new?from={parent}&gamma=1.7,3&omega=0.7,1.03&xi=0.05")
+        page.locator(".cost", has_text="cells").wait_for()
+        assert page.locator("[data-field='omega.start']").input_value() == "0.7"
 
 
 #: Two cycles (1,1) at the larger Gamma, rest at the smaller.

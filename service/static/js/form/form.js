@@ -2,7 +2,7 @@
 
 import { addressValue, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, query, requestJson } from "../lib/api.js";
-import { announce, debounced, h, latest, problemLine } from "../lib/dom.js";
+import { announce, button, debounced, h, latest, problemLine } from "../lib/dom.js";
 import { costText } from "../lib/format.js";
 import { AXES, axisValues, directionsOf } from "../lib/physics.js";
 import { snippets } from "../lib/snippets.js";
@@ -13,6 +13,7 @@ import { Plan } from "./plan.js";
 import { showProblems, unfolded } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
+const NEAR = 1e-6; // of a step: 0.7 is rounded already, though 0.7 / 0.001 is less than 700
 const INVALID = new Set([413, 422]); // statuses of a specification that is refused
 const ROWS = ["name", ...AXES, "protocol", "refine", "model"]; // fields with a row of their own, in this order
 const CHOSEN = ["effort", "exponents", "modes", "gamma_max"]; // fields below them; the others are folded away
@@ -25,13 +26,11 @@ export class SweepForm {
   constructor(root, address, signal) {
     this.signal = signal;
     document.title = "New study · Bouncing spring";
+    this.heading = h("h1", { tabindex: "-1" }, "New study");
     this.container = h("div", {}, h("p", { className: "note" }, "Loading the form …"));
     [this.problem, this.missing] = [problemLine(), problemLine()];
     this.pasted = new PastedSpecification((spec) => this.#replace(spec));
-    root.replaceChildren(
-      h("p", { className: "back" }, h("a", { href: link([]) }, "← All sweeps")),
-      h("h1", { tabindex: "-1" }, "New study"), this.missing.element,
-      this.container, this.problem.element, this.pasted.element);
+    root.replaceChildren(this.heading, this.missing.element, this.container, this.problem.element, this.pasted.element);
     this.estimate = debounced(ESTIMATE_DELAY_MS, latest((signal) => this.#estimate(signal)));
     this.#load();
   }
@@ -94,7 +93,7 @@ export class SweepForm {
         h("legend", {}, kind === "orbits" ? "Cycles" : "Accuracy"), elements(CHOSEN), "effort" in this.fields && this.plan.element),
       h("details", {}, h("summary", {}, "Recording ", listed), h("fieldset", { className: "plain" }, elements(recorded))),
       this.problem.element,
-      h("div", { className: "submit" }, this.button, this.cost));
+      h("div", { className: "submit" }, this.button, this.cost, button("All settings", () => this.#showWindow(null))));
   }
 
   /** Fill the form with the figure or the sweep that the address names; edited fields keep their values, and nothing is submitted before. */
@@ -126,6 +125,7 @@ export class SweepForm {
       this.source = { ...spec, ...window };
       const contact = axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } };
       this.#fill(spec ? this.source : { ...this.studies.rest.begin, ...axes, ...contact });
+      this.#showWindow(window);
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
       if (field in this.fields) unfolded(this.fields[field].element.querySelector("[data-field]")).focus();
@@ -145,7 +145,15 @@ export class SweepForm {
     this.#onChange();
   }
 
+  /** Of a window on another sweep its axes, what they cost and how exact they are; null shows all fields. */
+  #showWindow(window) {
+    this.heading.textContent = window ? window.name : "New study";
+    this.form.classList.toggle("window", Boolean(window));
+    for (const [name, { element }] of Object.entries(this.fields)) element.classList.toggle("asked", Boolean(window?.[name]?.num));
+  }
+
   #replace(spec) {
+    this.#showWindow(null);
     this.edited.clear();
     this.source = spec;
     this.#fill(spec);
@@ -225,7 +233,7 @@ function windowOn({ protocol, ...axes }, name, low, high) {
   const { spacing = "linear" } = axes[name];
   const values = axisValues(axes[name]);
   const step = 10 ** Math.floor(Math.log10(high - low) - 2);
-  const window = [Math.max(values[0], Math.floor(low / step) * step), Math.min(values.at(-1), Math.ceil(high / step) * step)];
+  const window = [Math.max(values[0], Math.floor(low / step + NEAR) * step), Math.min(values.at(-1), Math.ceil(high / step - NEAR) * step)];
   const begins = protocol.axis === name ? directionsOf({ protocol }) : [];
   const ends = [begins.includes("up") ? values[0] : window[0], begins.includes("down") ? values.at(-1) : window[1]];
   const length = ([start, stop]) => (spacing === "log" ? Math.log(stop / start) : stop - start);

@@ -1,4 +1,4 @@
-// What a time buys: efforts and grids of the form's sweep, with the share of the plane that each would show wrong;
+// Plans for a given time: efforts and grids of the form's sweep, with the share of the plane that each would show wrong;
 // or its levels, as fine as fit into the time.
 
 import { partsOf, query, requestDataset } from "../lib/api.js";
@@ -34,7 +34,7 @@ export class Plan {
     };
     const within = workButton("Compute within this time", computeWithin, this.problem.show);
     this.table = h("div");
-    this.element = h("details", {}, h("summary", {}, "What does a time buy?"),
+    this.element = h("details", {}, h("summary", {}, "Plan for a given time"),
       h("p", { className: "note" }, "Each effort and grid is tried at pilot points and judged by a longer computation. The recommended setting shows least wrong within the time; without a time, it is the cheapest that shows at most 5 % wrong. Its share is of fresh points; a note says if no setting surely keeps to the limit. Or compute from coarse to fine: the picture grows until the time is over, and an audit says how wrong it is."),
       h("p", { className: "controls" }, h("label", {}, "Time ", this.budget), compare, within), this.problem.element, this.table);
   }

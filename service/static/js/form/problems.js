@@ -9,6 +9,7 @@ export function showProblems(form, general, problem) {
   for (const input of form.querySelectorAll("[aria-invalid]")) ["aria-invalid", "aria-describedby"].forEach((name) => input.removeAttribute(name));
   form.querySelectorAll(".error").forEach((element) => element.remove());
   const others = [];
+  if (problem) form.classList.remove("window"); // the field may be one that it does not show
   for (const error of problem?.errors ?? []) {
     const input = inputOf(form, error.field);
     if (input) mark(input, inWords(error, input));
