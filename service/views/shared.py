@@ -57,7 +57,7 @@ def page(study: Stored[SweepSpec], attributes: Mapping[str, Any], numbers: str =
     shows = "" if numbers or missing else "It shows the sweep; its numbers are too many to be imported"
     note = ". ".join(filter(None, [missing, study.audit, left_out, shows]))
     about = {
-        "Core-seconds": attributes.get("core_seconds"), "Software": attributes.get("software"),
+        "Note": note, "Core-seconds": attributes.get("core_seconds"), "Software": attributes.get("software"),
         "History": attributes.get("history"),
         "Checksum of its numbers": "".join(_CHECKSUM.findall(numbers)),
         "How to cite": f"bouncing-spring {software().release}, and {REFERENCE}",
