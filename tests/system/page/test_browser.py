@@ -407,7 +407,7 @@ def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_pat
         job = submitted(address, {**LOOP, "name": "Failing"})
         page.locator(".jobs li .problem", has_text="no such spring").wait_for()
         page.goto(view(address, job))
-        error = page.locator("header.job + .problem", has_text="The sweep failed: chunk 0")
+        error = page.locator("header.job .problem", has_text="The sweep failed: chunk 0")
         wait_shown(page, along="gamma")
         assert error.is_visible()
         open_tab(page, "Mode map")
@@ -497,7 +497,7 @@ def test_an_error_is_shown_until_the_service_answers_again(browser: Any, address
         wait_shown(page, along="gamma")
         page.route(f"**/v1/jobs/{loop}", lambda route: route.fulfill(**failing), times=1)
         page.evaluate(_RETURN)
-        problem = page.locator("header.job + .problem", has_text="a disk is full")
+        problem = page.locator("header.job .problem", has_text="a disk is full")
         problem.wait_for()
         problem.wait_for(state="hidden")
 

@@ -26,7 +26,7 @@ export class Compare {
     this.layouts = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
     const bar = [h("h1", { tabindex: "-1" }, "Comparison")];
-    Object.assign(this, buildFrame(root, { bar, line: [this.legend], tabs: this.layouts, problem: this.problem.element }));
+    Object.assign(this, buildFrame(root, { bar, line: [this.legend, this.problem.element], tabs: this.layouts }));
     this.refresh();
   }
 

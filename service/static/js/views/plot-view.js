@@ -27,14 +27,14 @@ export const sourceOf = (job, number = 1) => ({
   grid: Object.fromEntries(AXES.filter((axis) => axis in job.spec).map((axis) => [axis, axisValues(job.spec[axis])])),
 });
 
-/** The frame of a page with plots in `root`: bar, line on what is shown, problem, tabs; controls, panels and a motion below are filled later. */
-export function buildFrame(root, { bar, line, tabs = false, problem = false }) {
+/** The frame of a page with plots in `root`: bar, line on what is shown, tabs; controls, panels and a motion below are filled later. */
+export function buildFrame(root, { bar, line, tabs = false }) {
   const controls = h("div", { className: "view-controls" });
   const panel = h("section", { className: "panel" });
   const secondPanel = h("section", { className: "beside", hidden: true });
   const trajectorySection = h("section", { className: "trajectory", "aria-label": "Trajectory of a cell", hidden: true });
   document.getElementById("bar").replaceChildren(...bar);
-  root.replaceChildren(h("header", { className: "job" }, line), ...(problem ? [problem] : []), h("div", { className: "views" }, tabs, controls),
+  root.replaceChildren(h("header", { className: "job" }, line), h("div", { className: "views" }, tabs, controls),
     h("div", { className: "panels" }, panel, secondPanel), trajectorySection);
   return { controls, panel, secondPanel, trajectorySection };
 }
