@@ -25,8 +25,7 @@ export class Compare {
     this.problem = problemLine();
     this.layouts = h("div", { className: "controls" });
     this.legend = h("ul", { className: "compared", "aria-label": "Sweeps" });
-    const bar = [h("h1", { tabindex: "-1" }, "Comparison")];
-    Object.assign(this, buildFrame(root, { bar, line: [this.legend, this.problem.element], tabs: this.layouts }));
+    Object.assign(this, buildFrame(root, { bar: [h("h1", { tabindex: "-1" }, "Comparison")], line: [this.legend, this.problem.element], tabs: this.layouts }));
     this.refresh();
   }
 

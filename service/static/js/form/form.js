@@ -13,8 +13,6 @@ import { Plan } from "./plan.js";
 import { showProblems, unfolded } from "./problems.js";
 
 const ESTIMATE_DELAY_MS = 220;
-const NEAR = 1e-6; // of a step: 0.7 is rounded already, though 0.7 / 0.001 is less than 700
-const INVALID = new Set([413, 422]); // statuses of a specification that is refused
 const ROWS = ["name", ...AXES, "protocol", "refine", "model"]; // fields with a row of their own, in this order
 const CHOSEN = ["effort", "exponents", "modes", "gamma_max"]; // fields below them; the others are folded away
 const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cycle"], basin: ["Starts", "The plane of starts of each cell"], multistability: ["Starts", "Drops that find the attractors of each cell"] };
@@ -200,7 +198,7 @@ export class SweepForm {
     if (this.form) this.cost.textContent = error.name === "Unreachable" ? "The cost is estimated once the service answers again." : invalid;
     if (isHandledElsewhere(error)) return;
     showProblems(this.form ?? this.container, this.problem, error);
-    if (this.form) this.button.disabled = !this.isLoaded || INVALID.has(error.status);
+    if (this.form) this.button.disabled = !this.isLoaded || [413, 422].includes(error.status); // it is refused
   }
 
   async #submit(parameters = {}) {
@@ -233,7 +231,8 @@ function windowOn({ protocol, ...axes }, name, low, high) {
   const { spacing = "linear" } = axes[name];
   const values = axisValues(axes[name]);
   const step = 10 ** Math.floor(Math.log10(high - low) - 2);
-  const window = [Math.max(values[0], Math.floor(low / step + NEAR) * step), Math.min(values.at(-1), Math.ceil(high / step - NEAR) * step)];
+  const near = 1e-6; // 0.7 is rounded already, though 0.7 / 0.001 is less than 700
+  const window = [Math.max(values[0], Math.floor(low / step + near) * step), Math.min(values.at(-1), Math.ceil(high / step - near) * step)];
   const begins = protocol.axis === name ? directionsOf({ protocol }) : [];
   const ends = [begins.includes("up") ? values[0] : window[0], begins.includes("down") ? values.at(-1) : window[1]];
   const length = ([start, stop]) => (spacing === "log" ? Math.log(stop / start) : stop - start);

@@ -75,8 +75,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
   const headers = { ...(body !== undefined && { "Content-Type": type }), ...(token && { Authorization: `Bearer ${token}` }) };
   const timer = AbortSignal.timeout(Math.max(timeout, 1));
   const response = await answered(fetch(SERVICE + path, {
-    method,
-    headers,
+    method, headers,
     body: body instanceof Blob || typeof body === "string" ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
   }), signal);
@@ -110,9 +109,7 @@ export const deleteJob = ({ id }) => requestJson(`/v1/jobs/${id}`, { method: "DE
   if (error.status !== 404) throw error;
 });
 
-const ARRAY_TYPES = {
-  float64: Float64Array, float32: Float32Array, int64: BigInt64Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array,
-};
+const ARRAY_TYPES = { float64: Float64Array, float32: Float32Array, int64: BigInt64Array, int32: Int32Array, int16: Int16Array, uint8: Uint8Array, bool: Uint8Array };
 
 /** A result in the binary form of service/views/encode.py: {attrs, dims, …}, and by name every coordinate and variable
  * as {data, dims, shape, attrs}; `data` is a flat typed array, or of scalars and texts the value or list. */

@@ -30,8 +30,7 @@ export function axisValues(axis) {
   const log = spacing === "log";
   const [from, to] = log ? [Math.log(start), Math.log(stop)] : [start, stop];
   return Array.from({ length: num }, (_, i) => {
-    if (i === 0) return start;
-    if (i === num - 1) return stop;
+    if (i === 0 || i === num - 1) return i ? stop : start;
     const value = from + ((to - from) * i) / (num - 1);
     return log ? Math.exp(value) : value;
   });

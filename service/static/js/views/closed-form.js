@@ -19,11 +19,8 @@ const BESIDE_PX = 8; // from the middle of a ring: a name beside another one wou
 
 /** Labels of events, where they are not their kind. */
 const EVENTS = {
-  "neimark-sacker": "Neimark–Sacker",
-  "immediate-takeoff": "take-off at once",
-  "graze-flight": "graze in flight",
-  "graze-contact": "graze in contact",
-  "bogdanov-takens": "Bogdanov–Takens",
+  "neimark-sacker": "Neimark–Sacker", "bogdanov-takens": "Bogdanov–Takens",
+  "immediate-takeoff": "take-off at once", "graze-flight": "graze in flight", "graze-contact": "graze in contact",
 };
 
 export const eventName = (kind) => EVENTS[kind] ?? kind;

@@ -3,12 +3,12 @@
 import { currentQuery, setQuery, windowQuery } from "../lib/address.js";
 import { partsOf, query } from "../lib/api.js";
 import { checkBox, choice, h } from "../lib/dom.js";
-import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clamp, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
+import { AXES, OUTCOME, SYMBOL, TWO_PI, axisColumn, cellColumns, clampIndex, exponentOf, hasCycles, hasSpring, isClose, nearestIndex, ofOtherPlate, threshold } from "../lib/physics.js";
 import { numberedColour, modeClasses, modeColour, theme } from "../plot/colours.js";
 import { disc, polygon, polyline, verticalLine } from "../plot/drawing.js";
 import { distinctFlights, drawFlights, flightsIn, flightsText, markCell } from "../plot/flights.js";
 import { Plot } from "../plot/plot.js";
-import { cellBorders, cellExtent } from "../plot/scale.js";
+import { cellExtent } from "../plot/scale.js";
 import { branchLegend, branchesOver, describeCycle, drawBranches, drawCycle, nearestCycle, startOn } from "./closed-form.js";
 import { ClassLegend, swatch } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
@@ -293,9 +293,7 @@ function linesOf(source, result) {
 /** A strip for each line above the box: the colour of each cell's mode. */
 function drawStrips(ctx, box, lines, hidden) {
   lines.forEach(({ values, classes }, i) => {
-    const borders = cellBorders(values);
-    const [first, end] = [borders[0], borders.at(-1)].map((value) => clamp(box.x.pixel(value), box.left, box.left + box.width));
-    for (let x = Math.ceil(first); x < end; x++) {
+    for (let x = box.left; x < box.left + box.width; x++) {
       const id = classes[nearestIndex(values, box.x.value(x + 0.5))];
       ctx.fillStyle = hidden.has(id) ? box.theme.surface : modeColour(id, box.theme.dark);
       ctx.fillRect(x, box.top - (lines.length - i) * (STRIP + 1), 1, STRIP);
