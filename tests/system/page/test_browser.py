@@ -100,7 +100,7 @@ def test_a_preset_is_submitted_and_its_progress_moves(browser: Any, tmp_path: Pa
         page.locator("[data-field='gamma.num']").fill("120")
         page.get_by_label("contact model").select_option("rigid")
         efforts = page.locator("select[data-field=effort] option").all_inner_texts()
-        assert efforts == ["as under Recording", "draft", "standard", "thorough"]
+        assert efforts == ["as in Recording", "draft", "standard", "thorough"]
         page.locator("summary", has_text="Recording").click()
         page.locator("[data-field=settle]").fill("20000")
         cost.filter(has_text=re.compile(r"120 cells in \d+ chunks · about .+ on 2 workers")).wait_for()

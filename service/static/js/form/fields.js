@@ -11,7 +11,7 @@ const CHOICES = {
   direction: { both: "up, then down" },
   by: { mode: "where the mode changes", bouncing: "where bouncing begins" },
   plane: { drop: "drops: heights and phases", contact: "in contact: elongations and velocities" },
-  effort: { "": "as under Recording" },
+  effort: { "": "as in Recording" },
 };
 
 /** Values above these are remarked on; of longer axes nothing is said. */
