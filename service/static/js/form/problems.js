@@ -9,7 +9,6 @@ export function showProblems(form, general, problem) {
   for (const input of form.querySelectorAll("[aria-invalid]")) ["aria-invalid", "aria-describedby"].forEach((name) => input.removeAttribute(name));
   form.querySelectorAll(".error").forEach((element) => element.remove());
   const others = [];
-  if (problem) form.classList.remove("window"); // the field may be one that it does not show
   for (const error of problem?.errors ?? []) {
     const input = inputOf(form, error.field);
     if (input) mark(input, inWords(error, input));
@@ -48,7 +47,7 @@ export function unfolded(input) {
 }
 
 function mark(input, rule) {
-  unfolded(input);
+  if (!unfolded(input).offsetParent) input.form.classList.remove("window"); // which does not show it
   const id = `error-${input.dataset.field.replaceAll(".", "-")}`;
   input.setAttribute("aria-invalid", "true");
   input.setAttribute("aria-describedby", id);
