@@ -228,12 +228,17 @@ def test_copied_python_draws_every_kind_of_study(
     assert {path.name for path in tmp_path.iterdir()} == {"basins.png", "multistability.png"}
 
 
-def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: list[str]):
+def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: list[str], tmp_path: Path):
     with opened(browser, f"{address}/#/job/{jobs[0]}/details") as page, Client(address) as client:
         page.get_by_role("button", name="Audit this sweep").click()
         page.get_by_role("region", name="Audit by question").wait_for()
         sentence = client.job(jobs[0]).audit(progress=False).attrs["sentence"]
         assert page.get_by_text(f"{sentence}.").is_visible()
+        shared = client.job(jobs[0]).share(tmp_path / "shared.html").as_uri()
+    size = {"width": 1280, "height": 800}
+    with opened(browser, f"{shared}#/job/{jobs[0]}/details", offline=True, viewport=size) as page:
+        page.get_by_role("row", name="Note").get_by_text(sentence).wait_for()
+        assert page.locator(".settling", has_text=sentence).bounding_box()["height"] < 30  # in one line
 
 
 def _as_python(text: str) -> Any:
