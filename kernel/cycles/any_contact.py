@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
-from kernel.cycles.events import Branch, Events, branch, events_of, join_events
+from kernel.cycles.events import Branch, Events, Kind, branch, events_of, join_events
 from kernel.cycles.follow import POINTS, RANGE, End, Event, Followed, ahead, follow
 from kernel.cycles.segments import START
 from kernel.cycles.starts import (
@@ -144,14 +144,16 @@ def both_ways(
 def up_to_shorter(line: Followed) -> Followed:
     """The part of a branch before a shorter cycle, gone through more than once.
 
-    Beyond the flip at which it began to double its halves change places; beyond a graze it may go on there.
+    It ends with the flip of that cycle, beyond which its halves change places, or where one of them grazes.
     """
     own = list(takewhile(lambda point: not repeats(point), line.points)) or line.points
     for k, event in enumerate(line.events):
         if event.after >= len(own):
             return Followed(own, line.events[:k])
         if event.turns and is_doubled(event.point):
-            return Followed([*line.points[: event.after + 1], event.point], line.events[:k])
+            kind = Kind.FLIP if event.kind is Kind.FOLD else event.kind  # seen from the shorter cycle
+            last = Event(kind, event.point, after=event.after)
+            return Followed([*line.points[: event.after + 1], event.point], [*line.events[:k], last])
     return Followed(own, line.events)
 
 

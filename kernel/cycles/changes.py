@@ -23,8 +23,9 @@ _ENDS: Final = 1e-9
 #: Distances of the first cycle from the change, in the units of the unknowns, tried in turn. The last are for
 #: new contacts of small penetration.
 _STEPS: Final = (1e-4, 1e-3, 1e-5, 1e-6, 1e-7, 1e-8)
-#: The same for a cycle of twice the period.
+#: The same for a cycle of twice the period, which begins where a multiplier is this close to -1.
 _DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
+_FLIPS: Final = 0.1
 #: Largest difference of an unknown between the change and the first cycle. Above the second it must shrink by
 #: the third factor with a tenth of the step: else the cycle lies elsewhere.
 _BESIDE, _NEXT, _SHRINKS = 0.2, 1e-3, 0.5
@@ -241,7 +242,12 @@ def _letting_go(point: Point, i: int, time: float) -> Iterator[_Edit]:
 
 
 def doubled(point: Point) -> Point | None:
-    """The first cycle of the branch of twice the period that begins at a flip; None if there is none."""
+    """The first cycle of the branch of twice the period that begins at a flip; None if there is none.
+
+    A cycle that repeats the one that flips has no multiplier at -1: its branch begins here.
+    """
+    if np.abs(point.multipliers + 1.0).min() > _FLIPS:
+        return None
     cycles, x = point.cycles.with_segments(2 * point.letters, point.x, [*point.times, *point.times])
     cycles = cycles._replace(periods=2 * cycles.periods)
     along = np.concatenate([point.tangent[: START + len(point.letters)], point.tangent[START:]])

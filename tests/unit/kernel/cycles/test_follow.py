@@ -174,9 +174,13 @@ def test_a_doubled_branch_ends_beside_its_last_flip(plate, omega, xi):
     cuts = 0
     for first in filter(None, map(doubled, flips)):
         line = follow(first, 0.0, span=(0.05, 5.0))
-        points, (*kept, end) = line.points, up_to_shorter(line).points
+        points, (*kept, end), events = line.points, *up_to_shorter(line)
         if len(kept) < len(points) - 1:
             cuts += 1
+            assert events[-1].point is end
+            away = min(abs(flip.parameter - end.parameter) for flip in flips)
+            assert (away < 1e-9) == (events[-1].kind is FLIP)
+            assert doubled(end) is None
             away = [np.abs(point.x[:5] - end.x[:5]).max() for point in points]
             assert min(away[len(kept) - 1 : len(kept) + 1]) == min(away)
     assert cuts > 0
