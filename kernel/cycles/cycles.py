@@ -405,12 +405,20 @@ def cycle_through(plate: Any, cell: Cell, periods: int, state: Floats) -> Point 
     """
     gamma, omega, xi = map(float, cell)
     whole = TWO_PI * periods
-    letters, times, _ = simulated(plate, cell, state, whole + 1.0, MOST * periods)
-    n = int(np.argmin(np.abs(np.cumsum(times) - whole))) + 1 if len(times) and state[2] == 0.0 else 0
-    start = [*(gamma * state[3:]), gamma * math.cos(state[0]), gamma * math.sin(state[0])]
-    x = np.array([*start, *times[:n]])
-    cycles = Cycles(plate, omega, xi, letters[:n], periods)
-    point = cycles.newton(x, cycles.on_branch(x).tangent) if n else None
-    if point is None or abs(point.parameter - gamma) > _SAME_CELL * gamma:
+    letters, times, states = simulated(plate, cell, state, whole + 1.0, MOST * periods)
+    # a round ends with a landing, also where the next flight is minute
+    away = np.where([letter in LANDINGS for letter in letters], np.abs(np.cumsum(times) - whole), math.inf)
+    if state[2] != 0.0 or not np.isfinite(away).any():
         return None
-    return admissible(point)
+    n = int(np.argmin(away)) + 1
+    start = [*(gamma * state[3:]), gamma * math.cos(state[0]), gamma * math.sin(state[0])]
+    cycles = Cycles(plate, omega, xi, letters[:n], periods)
+    simulated_round = cycles.on_branch(np.array([*start, *times[:n]]))
+    point = cycles.newton(simulated_round.x, simulated_round.tangent)
+    if point is not None and abs(point.parameter - gamma) <= _SAME_CELL * gamma:
+        point = admissible(point)
+        if point is not None:
+            return point
+    # on an event rounding decides about a segment, but not about the motion
+    closure = max(away[n - 1], np.abs(states[n] - state[2:]).max())
+    return simulated_round if closure < _CLOSES else None

@@ -7,7 +7,7 @@ from kernel_runs import run
 from plates import Model
 
 from kernel.cycles.any_contact import branches
-from kernel.cycles.cycles import LANDINGS, confirmed, cycle_from
+from kernel.cycles.cycles import LANDINGS, confirmed, cycle_from, cycle_through
 from kernel.cycles.events import Kind
 from kernel.params import Cell, Outcome
 
@@ -41,6 +41,14 @@ def test_a_cycle_of_one_hop_is_read():
     line = run(4.4119, 0.78278, 0.14213, Model.RIGID, settle=3000, observe=40, restitution=0.7)
     point = cycle_from(rigid(0.7), Cell(4.4119, 0.78278, 0.14213), 1, line.end_state[0])
     assert (point.letters, point.times[0]) == ("h", pytest.approx(2.0 * np.pi, abs=1e-12))
+
+
+def test_a_cycle_on_a_graze_is_one_through_its_state():
+    """Two of its flights last 5e-11 and 2e-8 rad; those of the kernel differ by more."""
+    cell = Cell(2.0131101385537593, 0.822, 0.0828)
+    state = np.array([2.1283627157435157, 1.0, 0.0, 3.282e-26, 0.5770979446368222, 0.8526369321791816])
+    assert cycle_through(rigid(0.049), cell, 2, state).letters == "cShhcSh"
+    assert cycle_through(rigid(0.049), cell, 2, state + [0.0, 0.0, 0.0, 0.0, 1e-4, 0.0]) is None
 
 
 @pytest.mark.parametrize("plate", [rigid(0.3), rigid(0.7), rigid(0.9), soft()])
