@@ -38,8 +38,9 @@ _STRETCHES, _STRETCH = 8, 1.3
 #: ends after this many values without a smaller one: the rest is rounding.
 _ZERO, _NARROW, _STALLED = 1e-13, 1e-2, 4
 
-#: A multiplier this close to 1, -1 or the unit circle makes an event, and two near -1 with a product of both
-#: distances below the second: where they meet, each moves with the square root.
+#: A multiplier this close to -1 or the unit circle makes an event, or a parameter that changes this little on
+#: its branch, and two near -1 with a product of both distances below the second: where they meet, each moves
+#: with the square root.
 _AT, _BOTH = 1e-4, 1e-6
 #: Indices of each two of the multipliers.
 _PAIRS: Final = np.triu_indices(4, 1)
@@ -250,10 +251,13 @@ def crossing(kind: Kind, point: Point) -> float:
 
 
 def happens(kind: Kind | End, point: Point) -> bool:
-    """Whether a multiplier lies at the value of this kind. A test also changes sign at a pole."""
+    """Whether a multiplier lies at the value of this kind. Its test also changes sign at a pole.
+
+    That of a fold has none. Rounding hides its multiplier beside a graze.
+    """
     mu = point.multipliers
     if kind is Kind.FOLD:
-        return bool(np.abs(mu - 1.0).min() < _AT)
+        return abs(point.rising) < _AT
     if kind is Kind.FLIP:
         return bool(np.abs(mu + 1.0).min() < _AT or abs(crossing(kind, point)) < _BOTH)
     return bool(((np.abs(mu.imag) > 1e-9) & (np.abs(np.abs(mu) - 1.0) < _AT)).any())
