@@ -22,6 +22,7 @@ from kernel.cycles.starts import (
     start_on_cycle,
     start_on_stable_cycle,
     starts_between_landings,
+    starts_on_admissible_cycles,
 )
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell
@@ -172,12 +173,16 @@ def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
     inside = ((Cell(gamma, omega, xi), t) for gamma, t in cycles if RANGE[0] < gamma < RANGE[1])
     short = (beside(plate, start_on_cycle(cell, periods, t), periods) for cell, t in inside)
     yield from islice(filter(None, short), 1)
-    for low, high in stable_ranges(omega, xi, periods):
+    ranges = stable_ranges(omega, xi, periods)
+    for low, high in ranges:
         cells = [Cell(low + x * (high - low), omega, xi) for x in _SHARES if high - low > _NARROWEST]
         starts = [start_on_stable_cycle(cell, periods) for cell in cells]
         points = [point for start in starts if (point := beside(plate, start, periods)) is not None]
         # far away from these, its own cycles may still attract
         yield from points or filter(None, (beside(plate, start, periods, _ROUNDS) for start in starts))
+    if not ranges:
+        unstable = starts_on_admissible_cycles(omega, xi, periods)
+        yield from filter(None, (beside(plate, start, periods) for start in unstable))
     hops = starts_between_landings(omega, xi, periods, float(plate.restitution[0]))
     never_stuck = (cycle_from(plate, start.cell, periods, start.state) for start in hops)
     yield from islice((point for point in never_stuck if point is not None and not repeats(point)), 1)

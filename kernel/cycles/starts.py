@@ -102,6 +102,15 @@ def stable_ranges(omega: float, xi: float, periods: int) -> list[tuple[float, fl
     return [(float(gamma.min()), float(gamma.max())) for gamma in ranges]
 
 
+def starts_on_admissible_cycles(omega: float, xi: float, periods: int) -> Iterator[CycleStart]:
+    """A start within each stretch of admissible cycles (1, periods), stable or not."""
+    with np.errstate(all="ignore"):
+        line = branch(omega, xi, periods, flight_times(omega, xi, periods))
+    for low, high in stretches(line.violations == 0):
+        i = (low + high) // 2
+        yield _start(Cell(float(line.gamma[i]), omega, xi), line, i)
+
+
 def _start(cell: Cell, line: Branch, i: int) -> CycleStart:
     cycle = rows_of(line, slice(i, i + 1))
     return CycleStart(Start(_state(cycle), cell), cycle)

@@ -74,6 +74,11 @@ def test_a_family_without_a_stable_cycle_near_those_of_the_closed_form(omega):
     assert {point.letters for point in hops.points} >= {"h", "hh", "hhh"}
 
 
+def test_a_branch_where_no_cycle_of_the_closed_form_is_stable():
+    (line,) = branches(rigid(0.353), 0.9445175, 0.0345, 2, span=(2.6, 3.4))
+    assert sorted(gammas(line, FOLD)) == pytest.approx([2.740261171766, 3.285075490445], abs=1e-9)
+
+
 @pytest.mark.parametrize(
     ("plate", "omega", "along", "span", "turn"),
     [
