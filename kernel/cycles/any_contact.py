@@ -6,6 +6,7 @@ rebound the cycles of one mode lie on several branches: besides cycles that stic
 hops that never do, whose cycle of one flight has a closed form too.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, pairwise, takewhile
 from typing import Any, Final
@@ -14,7 +15,7 @@ import numpy as np
 
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, Kind, branch, events_of, join_events
-from kernel.cycles.follow import POINTS, RANGE, End, Event, Followed, ahead, follow
+from kernel.cycles.follow import POINTS, RANGE, End, Event, Followed, ahead, follow, root
 from kernel.cycles.segments import START
 from kernel.cycles.starts import (
     CycleStart,
@@ -118,12 +119,32 @@ def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Follow
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:
     """The cycles of a branch at a value of its parameter."""
-    for a, b in pairwise(line.points):
-        if (a.parameter - parameter) * (b.parameter - parameter) <= 0.0:
-            near = a if abs(a.parameter - parameter) < abs(b.parameter - parameter) else b
-            point = near.cycles.at(near.x, parameter)
-            if point is not None and admissible(point) is not None:
-                yield point
+    for a, b in pairwise(_with_folds(line.points, parameter)):
+        if (a.parameter - parameter) * (b.parameter - parameter) > 0.0:
+            continue
+        near = min((a, b), key=lambda x: abs(x.parameter - parameter) / max(abs(x.rising), 1e-300))
+        point = near.cycles.at(near.x, parameter)
+        if (point is None or not math.isclose(point.parameter, parameter)) and a.letters == b.letters:
+            point = _between(a, b, lambda x: x.parameter - parameter)
+        if point is not None and admissible(point) is not None:
+            yield point
+
+
+def _with_folds(points: list[Point], parameter: float) -> Iterator[Point]:
+    """The cycles of a branch, with the folds near a value of its parameter."""
+    for a, b in pairwise(points):
+        yield a
+        if max(abs(x.parameter - parameter) for x in (a, b)) < _FOLDED and a.letters == b.letters:
+            fold = _between(a, b, lambda x: x.rising)
+            yield from () if fold is None else (fold,)
+    yield from points[-1:]
+
+
+def _between(a: Point, b: Point, function: Callable[[Point], float]) -> Point | None:
+    """The solution between two of the same segments at which a function changes sign, or None."""
+    way = b.x - a.x
+    a, b = a.towards(way), b.towards(way)
+    return root(a, float(a.tangent @ way), function) if function(a) * function(b) < 0.0 else None
 
 
 def both_ways(

@@ -234,7 +234,7 @@ def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iter
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
         kind = kinds[which]
-        point = _root(line[i], _reach(line[i], line[i + 1]), partial(crossing, kind))
+        point = root(line[i], _reach(line[i], line[i + 1]), partial(crossing, kind))
         if point is not None and happens(kind, point):
             yield Event(kind, point, turns=kind is Kind.FOLD, after=before + int(i))
 
@@ -279,7 +279,7 @@ def ahead(node: Point, reach: float) -> Point | None:
     return None if point is None else point.towards(node.tangent)
 
 
-def _root(node: Point, reach: float, function: Callable[[Point], float]) -> Point | None:
+def root(node: Point, reach: float, function: Callable[[Point], float]) -> Point | None:
     """The solution within about `reach` of `node` at which `function` changes sign, by the Illinois rule.
 
     Where there is no solution, or the function is not finite, it counts as having changed sign.
@@ -334,7 +334,7 @@ def _change(stretch: _Stretch, goes_back: Callable[[Point], bool]) -> tuple[Poin
     last, broken, beyond = stretch.points[-1], stretch.broken, stretch.beyond
     if broken is not None and beyond is not None and len(beyond.x) == len(last.x):
         margin = Margin(broken, beyond)
-        point = _root(last, stretch.step, margin)
+        point = root(last, stretch.step, margin)
         after = None if point is None else next_cycle(margin, point, goes_back)
         if point is not None and after is not None:
             kind, changed, first = after

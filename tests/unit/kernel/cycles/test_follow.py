@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from contacts import attracting, rigid, soft
 
-from kernel.cycles.any_contact import both_ways, branches, branches_at, repeats, up_to_shorter
+from kernel.cycles.any_contact import both_ways, branches, branches_at, passing, repeats, up_to_shorter
 from kernel.cycles.changes import doubled
 from kernel.cycles.events import Kind
 from kernel.cycles.follow import LARGEST, RANGE, End, follow
@@ -95,6 +95,16 @@ def test_turns_along_the_other_parameters(plate, omega, along, span, turn):
     assert all(point.cell[0] == pytest.approx(0.6, abs=1e-13) for point in first.points)
     if along == "omega":  # it is closed
         assert first.points[-1] is first.points[0]
+
+
+@pytest.mark.parametrize("above", [3e-4, 1e-5, 1e-8])
+def test_a_branch_passes_twice_beside_its_fold(above):
+    """Where no two of its points may lie on either side of Gamma."""
+    fold = 0.5532413455618
+    (line,) = branches(soft(), 0.60, 0.05, 1)
+    points = list(passing(line, fold + above))
+    assert [point.parameter for point in points] == pytest.approx([fold + above] * 2, abs=1e-9)
+    assert sorted(point.stable for point in points) == [False, True]
 
 
 def test_a_branch_that_goes_on_beyond_its_points_says_so():
