@@ -91,6 +91,11 @@ def test_events_name_the_piece_of_a_branch_that_they_are_on(python_client: Clien
     assert (answer.event_kind.item(), answer.event_branch.item()) == ("fold", -1)  # all points are above it
 
 
+def test_branches_of_a_contact_reach_the_gamma_asked_for(python_client: Client):
+    answer = python_client.orbits(0.6, 0.05, "1-1", gamma_max=2.0, model="soft", progress=False)
+    assert 2.0 - 1e-12 < float(answer.gamma.max()) <= 2.0
+
+
 def test_doubled_branches_have_flips_of_their_own(python_client: Client):
     """The flip is that of issue 45; those of other contacts are in kernel/cycles/test_changes.py."""
     answer = python_client.orbits(
