@@ -86,21 +86,38 @@ class Processes:
 
     A process ends if it holds more than MOST_KEPT bytes after an answer. After IDLE_SECONDS without work all
     but one end: the next answer need not wait for a process to start.
+
+    warm: called in each process before its priority is lowered, to import what answers need. One process
+    starts at a time: an answer may find another one idle before its own would have started.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, warm: Callable[[], object] = _do_nothing) -> None:
         self._changed = threading.Condition()
-        self._may_start = count
+        self._may_start, self._starting, self._warm = count, False, warm
         self._idle: list[tuple[float, _Process]] = []  # idle since, the latest last
         self._started: set[_Process] = set()
         self._look: threading.Timer | None = None
         self._closed = False
+
+    def start(self) -> None:
+        """Start the first process, before an answer needs it. Raises EOFError or OSError if it cannot."""
+        if self._starting or self._started:
+            return
+        process: _Process | None = None
+        try:
+            process = self._take()
+        finally:
+            self._put_back(process, 0)
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
         held, client = 0, asker()
         try:
             process = self._take()
+            with self._changed:
+                self._changed.notify()  # another one may start now
+            if client.left:  # while it started: the next answer needs it
+                raise NotComputed("the client has left")
             client.on_leave(process.stop)
             succeeded, value, held = process.call(function, arguments)
             client.on_leave(_do_nothing)
@@ -109,6 +126,8 @@ class Processes:
         except (EOFError, OSError) as error:
             held = MOST_KEPT + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
+        except NotComputed:
+            raise
         except BaseException:  # such as an answer that cannot be unpickled: the pipe may hold the rest
             held = MOST_KEPT + 1
             raise
@@ -130,7 +149,9 @@ class Processes:
     def _take(self) -> "_Process":
         """An idle process or a new one. Raises OSError if none can be started."""
         with self._changed:
-            self._changed.wait_for(lambda: self._idle or self._may_start or self._closed)
+            self._changed.wait_for(
+                lambda: self._idle or (self._may_start and not self._starting) or self._closed
+            )
             if self._closed:
                 raise OSError("closed")
             while self._idle:
@@ -141,8 +162,19 @@ class Processes:
                 self._started -= {idle}
                 self._may_start += 1
             self._may_start -= 1
-        process = _Process()
-        self._started.add(process)
+            self._starting = True
+        process = None
+        try:
+            process = _Process()
+            self._started.add(process)
+            process.call(self._warm, ())
+        except BaseException:
+            self._started -= {process}
+            if process is not None:
+                process.end()
+            raise
+        finally:
+            self._starting = False
         return process
 
     def _put_back(self, process: "_Process | None", held: int) -> None:
@@ -234,14 +266,12 @@ def _compute(connection: Connection) -> None:
     threading.Thread(target=_end_when_told, daemon=True).start()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     use_cache()
-    lowered, trimmed = False, 0
+    trimmed, warm = 0, False
     while True:
         try:
             function, arguments = connection.recv()
         except (EOFError, OSError):
             os._exit(0)
-        if not lowered:  # the first call imports, which beside busy workers would take a minute
-            lowered = _lower_priority()
         try:
             answer = (True, function(*arguments))
         except Exception as error:  # noqa: BLE001 - raised again in the caller
@@ -256,6 +286,8 @@ def _compute(connection: Connection) -> None:
             return_memory()
             held = trimmed = _bytes_held()
         connection.send(held)
+        if not warm:  # the first call imports, which beside busy workers would take a minute
+            warm = _lower_priority()
 
 
 def _lower_priority() -> bool:

@@ -26,7 +26,7 @@ from pydantic import SecretStr
 from service import tokens
 from service.api.app import create_app
 from service.background import Processes
-from service.errors import LedgerUnavailable, NotComputed, NotStarted
+from service.errors import LedgerUnavailable, NotStarted
 from service.jobs.stores.opening import open_ledger
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
@@ -95,7 +95,9 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         if settings.private:  # of this process and its workers, which is why `running` does not
             stack.callback(os.umask, os.umask(_PRIVATE_UMASK))
         complete, listener, executor = stack.enter_context(_prepared(settings, None))
-        background = stack.enter_context(closing(Processes(settings.max_reads + settings.max_exports)))
+        background = stack.enter_context(
+            closing(Processes(settings.max_reads + settings.max_exports, registry.warm_pictures))
+        )
         record = stack.enter_context(tokens.recorder(settings.data))
         threading.Thread(target=_warm_answers, args=[background], name="warm-answers", daemon=True).start()
         with _startup_errors():
@@ -249,5 +251,5 @@ def _create(name: str) -> Any:
 def _warm_answers(background: Processes) -> None:
     """Import the modules for answers, and start their first process, before the first request."""
     registry.warm()
-    with suppress(NotComputed):  # the service was stopped meanwhile
-        background.run(registry.warm)
+    with suppress(EOFError, OSError):  # the service was stopped meanwhile
+        background.start()

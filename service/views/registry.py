@@ -126,3 +126,9 @@ def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str)
 def warm() -> None:
     """Import Dask, which xarray does with its first Dataset; this module has imported the rest."""
     Dataset({"x": ("x", [0])})
+
+
+def warm_pictures() -> None:
+    """Import what `warm` does, and Matplotlib, as the first picture does."""
+    warm()
+    encode.picture((1.0, 1.0), lambda _: None, "png", {})

@@ -1,5 +1,6 @@
 """Processes that compute answers: what they return and raise, their priority, and their end."""
 
+import json
 import os
 import signal
 import socket
@@ -13,6 +14,7 @@ from contextlib import closing
 from functools import partial
 from http.client import HTTPConnection
 from multiprocessing import active_children
+from operator import itemgetter
 from pathlib import Path
 
 import psutil
@@ -114,6 +116,21 @@ def test_idle_processes_end_by_one_thread_for_all_answers(monkeypatch: pytest.Mo
         wait_for(lambda: len(processes._started) == 1)
 
 
+def note(folder: Path) -> None:
+    """Write down the priority of this process, and from when until when it was noted."""
+    began = time.time()
+    time.sleep(0.5)
+    (folder / str(os.getpid())).write_text(json.dumps([os.nice(0), began, time.time()]))
+
+
+def test_they_start_one_after_another_at_the_priority_of_the_service(tmp_path: Path):
+    with closing(Processes(2, partial(note, tmp_path))) as processes, ThreadPoolExecutor(2) as pool:
+        list(pool.map(processes.run, [time.sleep] * 2, [2.0] * 2))
+    first, second = sorted((json.loads(noted.read_text()) for noted in tmp_path.iterdir()), key=itemgetter(1))
+    assert first[0] == second[0] == os.nice(0)
+    assert first[2] <= second[1]
+
+
 def test_they_end_when_closed_also_while_computing(tmp_path: Path):
     begun = tmp_path / "begun"
     computation = f"import pathlib, signal; pathlib.Path({str(begun)!r}).touch(); signal.pause()"
@@ -204,7 +221,7 @@ def test_what_is_computed_for_a_client_that_leaves_ends(tmp_path: Path, monkeypa
             leases = app.state.service.capacity
             with socket.create_connection(address, timeout=DEADLINE) as connection:
                 connection.sendall(request)
-                wait_for(lambda: len(processes._started) == 1)
+                wait_for(lambda: processes._started and not processes._starting)
                 (busy,) = (psutil.Process(process._process.pid) for process in processes._started)
                 wait_for(lambda: sum(busy.cpu_times()[:2]) > 0.1)
             wait_for(lambda: leases.used == 0 and not busy.is_running())
