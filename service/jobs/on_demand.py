@@ -18,7 +18,7 @@ from typing import Any, Final, TypeAlias
 
 from service.background import asker
 from service.errors import Busy, NotComputed
-from worker.executors.base import Executor, ExecutorError, WorkerLeft
+from worker.executors.base import Executor, ExecutorError, WorkerLeft, timed
 
 #: Limit on the results kept; the least recently requested ones are dropped.
 MAX_RESULTS: Final = 64
@@ -178,7 +178,7 @@ class OnDemandCache:
             future, call = part
             began = time.monotonic()
             try:
-                computed = self._executor.call(*call)
+                computed = self._executor.call(timed, *call)
             except Exception as error:  # noqa: BLE001 - the caller gets the error
                 computed = Future()
                 computed.set_exception(error)
@@ -210,10 +210,13 @@ class OnDemandCache:
         """End a part with the result or the error of its call, or have it wait for another worker."""
         future, _ = part
         error = CancelledError() if computed.cancelled() else computed.exception()
+        value, seconds = None, time.monotonic() - max(began, self._without_workers)
+        if not error:
+            value, seconds = computed.result()
         with self._lock:
             self._running -= 1
-            if self._jobs_compute():  # a wait for workers takes no time of theirs
-                self._credit -= time.monotonic() - max(began, self._without_workers)
+            if self._jobs_compute():  # a wait for workers or their chunks takes no time of theirs
+                self._credit -= seconds
             if isinstance(error, WorkerLeft):  # else the other parts would be lost with this one
                 self._waiting.appendleft(part)
                 return
@@ -221,7 +224,7 @@ class OnDemandCache:
             if error:
                 future.set_exception(error)
             else:
-                future.set_result(computed.result())
+                future.set_result(value)
 
 
 def _cancel_too(computed: "Future[Any]", future: "Future[Any]") -> None:

@@ -1,5 +1,6 @@
 """The interface of executors, which compute chunks for the service, and their errors."""
 
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -116,3 +117,9 @@ class Executor(Protocol):
 
     def close(self) -> None:
         """Release workers, connections and threads. Futures that have not ended are cancelled or fail."""
+
+
+def timed(function: Callable[..., Result], *arguments: Any) -> tuple[Result, float]:
+    """The result of a call, and the seconds that it took where it was computed."""
+    began = time.monotonic()
+    return function(*arguments), time.monotonic() - began

@@ -16,18 +16,29 @@ from service.jobs.on_demand import OnDemandCache, Pending
 from worker.executors.base import ClusterLost, ClusterState, WorkerDied, WorkerLeft
 
 
+class Call(Future[Any]):
+    """A timed call that a worker begins at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.began = on_demand.time.monotonic()
+
+    def set_result(self, result: Any) -> None:
+        super().set_result((result, on_demand.time.monotonic() - self.began))
+
+
 class Pool:
     """An executor of 8 workers whose calls the test completes."""
 
     def __init__(self) -> None:
-        self.futures: list[Future[Any]] = []
+        self.futures: list[Call] = []
         self.capacity = 8
 
     def state(self) -> ClusterState:
         return ClusterState(True, self.capacity)
 
     def call(self, *_: Any) -> Future[Any]:
-        self.futures.append(Future())
+        self.futures.append(Call())
         return self.futures[-1]
 
 
@@ -174,7 +185,7 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     assert cache.get("many", TWO) == list(range(16))
 
 
-def test_a_call_that_waited_for_workers_delays_no_other(monkeypatch: pytest.MonkeyPatch):
+def test_a_call_that_waited_for_workers_or_their_chunks_delays_no_other(monkeypatch: pytest.MonkeyPatch):
     now = [100.0]
     monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
     pool, cache = started(jobs_compute=lambda: 1)
@@ -183,6 +194,9 @@ def test_a_call_that_waited_for_workers_delays_no_other(monkeypatch: pytest.Monk
     now[0] += 3600.0
     pending(cache, "first", [(print,)])
     pool.capacity = 8
+    pending(cache, "first", [(print,)])
+    now[0] += 3600.0
+    pool.futures[0].began = now[0]
     pool.futures[0].set_result("computed")
     assert cache.get("first", [(print,)]) == ["computed"]
     pending(cache, "second", [(print,)])
