@@ -24,11 +24,11 @@ Result = TypeVar("Result")
 NICER: Final = 5
 #: A process that uses more bytes than this after an answer ends, to return its memory. All imports and loads
 #: take 400 MB, and a new process seconds of a processor for them.
-MOST_KEPT: Final = 512 * 2**20
+MOST_KEPT: Final = 448 * 2**20
 #: Growth in bytes after which a process has the C library return memory.
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
-IDLE_SECONDS: Final = 20.0
+IDLE_SECONDS: Final = 5.0
 #: Seconds in which a process that should end may compile; one that is frozen is killed then.
 STOP_SECONDS: Final = 60.0
 
