@@ -172,7 +172,7 @@ def test_a_frozen_process_gives_its_place_back_when_the_client_leaves(monkeypatc
     with closing(Processes(1)) as processes, ThreadPoolExecutor(1) as pool:
         os.kill(processes.run(os.getpid), signal.SIGSTOP)
         waiting = pool.submit(leaving.run, partial(processes.run, os.getpid))
-        wait_for(lambda: not processes._idle)
+        wait_for(lambda: leaving._stop is not background._do_nothing)  # it is called
         leaving.leave()
         with pytest.raises(NotComputed):
             waiting.result(DEADLINE)
