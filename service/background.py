@@ -22,9 +22,9 @@ Result = TypeVar("Result")
 
 #: Added to the niceness of these processes: two of them take at most a quarter of two busy processors.
 NICER: Final = 5
-#: A process that uses more bytes than this after an answer ends, to return its memory. All imports and loads
-#: take 400 MB, and a new process seconds of a processor for them.
-MOST_KEPT: Final = 448 * 2**20
+#: A process that has grown by more bytes than this since its start ends after an answer, to return its
+#: memory. What answers of all kinds import takes 140 MB of it, and a new process seconds of a processor.
+MOST_GROWN: Final = 192 * 2**20
 #: Growth in bytes after which a process has the C library return memory.
 MUCH: Final = 16 * 2**20
 #: Seconds without work after which all processes but one end.
@@ -84,8 +84,8 @@ class InThisProcess:
 class Processes:
     """At most `count` processes, each started when all others are busy; they end with this process.
 
-    A process ends if it holds more than MOST_KEPT bytes after an answer. After IDLE_SECONDS without work all
-    but one end: the next answer need not wait for a process to start.
+    A process ends if it has grown by more than MOST_GROWN bytes after an answer. After IDLE_SECONDS without
+    work all but one end: the next answer need not wait for a process to start.
 
     warm: called in each process before its priority is lowered, to import what answers need. One process
     starts at a time: an answer may find another one idle before its own would have started.
@@ -107,32 +107,28 @@ class Processes:
         try:
             process = self._take()
         finally:
-            self._put_back(process, 0)
+            self._put_back(process, keep=True)
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
-        held, client = 0, asker()
+        keep, client = False, asker()
         try:
             process = self._take()
             with self._changed:
                 self._changed.notify()  # another one may start now
             if client.left:  # while it started: the next answer needs it
+                keep = True
                 raise NotComputed("the client has left")
             client.on_leave(process.stop)
-            succeeded, value, held = process.call(function, arguments)
+            succeeded, value, may_stay = process.call(function, arguments)
             client.on_leave(_do_nothing)
             if client.left:
                 raise EOFError("it was stopped")
+            keep = may_stay
         except (EOFError, OSError) as error:
-            held = MOST_KEPT + 1
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
-        except NotComputed:
-            raise
-        except BaseException:  # such as an answer that cannot be unpickled: the pipe may hold the rest
-            held = MOST_KEPT + 1
-            raise
-        finally:
-            self._put_back(process, held)
+        finally:  # an answer that cannot be unpickled ends it, too: the pipe may hold the rest
+            self._put_back(process, keep)
         if not succeeded:
             raise value
         result: Result = value
@@ -177,10 +173,10 @@ class Processes:
             self._starting = False
         return process
 
-    def _put_back(self, process: "_Process | None", held: int) -> None:
-        """Free the process, or the place of one that could not be started."""
+    def _put_back(self, process: "_Process | None", keep: bool) -> None:
+        """Free the process, or the place of one that could not be started or is not to be kept."""
         with self._changed:
-            if process is not None and held <= MOST_KEPT and not self._closed:
+            if process is not None and keep and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
                 self._look_later()
@@ -235,8 +231,8 @@ class _Process:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         theirs.close()  # so that each side notices the other's death
 
-    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any, int]:
-        """Call a function: whether it succeeded, its result or exception, and the bytes of the process.
+    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[bool, Any, bool]:
+        """Call a function: whether it succeeded, its result or exception, and whether to keep the process.
 
         Raises EOFError or OSError if the process died.
         """
@@ -266,7 +262,7 @@ def _compute(connection: Connection) -> None:
     threading.Thread(target=_end_when_told, daemon=True).start()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     use_cache()
-    trimmed, warm = 0, False
+    trimmed = at_start = 0
     while True:
         try:
             function, arguments = connection.recv()
@@ -285,16 +281,16 @@ def _compute(connection: Connection) -> None:
         if held > trimmed + MUCH:
             return_memory()
             held = trimmed = _bytes_held()
-        connection.send(held)
-        if not warm:  # the first call imports, which beside busy workers would take a minute
-            warm = _lower_priority()
+        connection.send(not at_start or held <= at_start + MOST_GROWN)
+        if not at_start:  # the first call imports, which beside busy workers would take a minute
+            at_start = max(held, 1)
+            _lower_priority()
 
 
-def _lower_priority() -> bool:
+def _lower_priority() -> None:
     os.nice(NICER)
     if hasattr(os, "SCHED_BATCH"):  # Linux: batch processes do not interrupt a running worker
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    return True
 
 
 def _end_when_told() -> None:

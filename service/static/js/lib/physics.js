@@ -30,7 +30,8 @@ export function axisValues(axis) {
   const log = spacing === "log";
   const [from, to] = log ? [Math.log(start), Math.log(stop)] : [start, stop];
   return Array.from({ length: num }, (_, i) => {
-    if (i === 0 || i === num - 1) return i ? stop : start;
+    if (i === 0) return start;
+    if (i === num - 1) return stop;
     const value = from + ((to - from) * i) / (num - 1);
     return log ? Math.exp(value) : value;
   });
