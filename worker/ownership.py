@@ -38,7 +38,7 @@ class NotOurs(Exception):
 def make_private(folder: Path) -> None:
     """Create a folder that only this user can enter; an existing one is closed, with a warning.
 
-    Raises NotOurs if another user owns it or something in it, and OSError.
+    Raises NotOurs if another user owns it or something in it, or all users share it, and OSError.
     """
     make_folder(folder, PRIVATE_FOLDER)
     status = folder.stat()
@@ -47,6 +47,8 @@ def make_private(folder: Path) -> None:
     mode = stat.S_IMODE(status.st_mode)
     if not mode & _OTHERS:
         return
+    if (mode & stat.S_ISVTX and mode & stat.S_IWOTH) or folder.samefile("/"):
+        raise NotOurs(f"{folder} is shared by all users of this machine")
     try:
         folder.chmod(mode & ~_OTHERS)
         log.warning("%s was open to other users of this machine (mode %04o); it is closed now", folder, mode)

@@ -46,6 +46,13 @@ def test_a_folder_that_is_open_is_closed_with_a_warning(folder: Path, caplog, be
     ]
 
 
+def test_a_folder_that_all_users_share_is_refused_as_it_is(folder: Path):
+    folder.chmod(0o1777)  # as /tmp
+    with pytest.raises(NotOurs, match=f"^{folder} is shared by all users"):
+        make_private(folder)
+    assert mode(folder) == 0o1777
+
+
 @ROOT_ONLY
 def test_a_folder_of_another_user_is_not_made_private(folder: Path):
     os.chown(folder, NOBODY, NOBODY)
