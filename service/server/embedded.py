@@ -188,7 +188,7 @@ def _bound(settings: Settings) -> socket.socket:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=BACKLOG)
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = (error.strerror or str(error)).partition(" (while ")[0]  # the address is named below
         if error.errno == errno.EADDRINUSE:
             reason = "another program has it; take another one with --port"
         raise NotStarted(f"cannot listen on {host} port {port}: {reason}") from error
