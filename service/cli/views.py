@@ -252,14 +252,16 @@ def _without(prefixes: tuple[str, ...], name: str) -> str:
     "--layout", type=click.Choice(get_args(ExportLayout)), default="cells", show_default=True,
     help="What a row of Parquet is: a cell with lists of its flights, or each flight.",
 )  # fmt: skip
-@options.with_job
-def export(job: "Job", output: str, layout: ExportLayout) -> None:
+@options.job_argument
+@options.with_client
+def export(client: "Client", job_id: str, output: str, layout: ExportLayout) -> None:
     """Write all results of a job to one file.
 
     NetCDF (.nc) contains the arrays of the store, Parquet (.parquet) one row per cell, or with --layout
     flights one row per flight. A page (.html) shows a sweep in any browser, without service and network.
     """
     options.output_format(output, EXPORTS)
+    job = client.job(job_id)
     job.export(Path(output), layout=layout)
     _warn_unless_done(job, "cells are missing")
 
@@ -267,10 +269,12 @@ def export(job: "Job", output: str, layout: ExportLayout) -> None:
 @click.command()
 @click.option("-o", "--output", type=click.Path(dir_okay=False), required=True, help="File to write, .html.")
 @measured_points
-@options.with_job
-def share(job: "Job", output: str, data: str | None) -> None:
+@options.job_argument
+@options.with_client
+def share(client: "Client", job_id: str, output: str, data: str | None) -> None:
     """Write a sweep as a page that needs no service."""
     options.output_format(output, ("html",))
+    job = client.job(job_id)
     job.share(Path(output), data)
     _warn_unless_done(job, "cells are missing")
 

@@ -252,6 +252,7 @@ def test_the_doctor_asks_the_service_on_the_folder(
         (["figure", "99"], 1, "unknown figure 99; choose one of: 1, 2, 3"),
         (["figure", "1", "--data", ".", "--url", "http://127.0.0.1:9"], 2, "give one"),
         (["diagram", "0" * 32, "-o", "diagram"], 2, "does not end in"),
+        (["share", "0" * 32, "-o", "sweep.nc"], 2, "does not end in"),
         (["diagram", "0" * 32, "-o", "-"], 2, "- needs --format: json, "),
         (["tradeoff", "-o", "-"], 2, "must be a file"),
         (["tradeoff", "-o", "tradeoff.gif"], 2, "does not end in"),
