@@ -75,7 +75,9 @@ class JobManager:
 
     def fault(self) -> str | None:
         """Why jobs are not accepted or computed, as of the last sync; None if nothing is wrong."""
-        return self._ledger.fault() or self.supervisor.cluster.fault
+        supervisor, cluster = self.supervisor, self.supervisor.cluster
+        idle = cluster.connected and cluster.planned == 0 and not supervisor.remaining_seconds
+        return self._ledger.fault() or (None if idle else cluster.fault)
 
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""

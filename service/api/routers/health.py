@@ -22,7 +22,7 @@ def get_liveness() -> Health:
     "/readyz", summary="Readiness", response_model_exclude_defaults=True, responses=problem_responses(503)
 )
 def get_readiness(service: ServiceDep) -> ReadinessView:
-    """The ledger can be used, the Dask scheduler answers and has workers: jobs are computed."""
+    """The ledger can be used, the Dask scheduler answers and has the workers that jobs need."""
     if (fault := service.manager.fault()) is not None:
         raise HTTPException(503, fault)
     return ReadinessView(status="ok", notices=service.manager.notices())
