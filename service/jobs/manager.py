@@ -77,7 +77,7 @@ class JobManager:
         """Why jobs are not accepted or computed, as of the last sync; None if nothing is wrong."""
         supervisor, cluster = self.supervisor, self.supervisor.cluster
         idle = cluster.connected and cluster.planned == 0 and not supervisor.remaining_seconds
-        return self._ledger.fault() or (None if idle else cluster.fault)
+        return self._ledger.fault() or supervisor.bucket_fault or (None if idle else cluster.fault)
 
     def notices(self) -> list[str]:
         """What an operator should know, although jobs are computed."""

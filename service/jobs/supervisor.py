@@ -46,6 +46,8 @@ REPAIR_SECONDS: Final = 10.0
 RETRY_SECONDS: Final = 30.0
 #: Part of a heartbeat between syncs while there are no workers, so that new workers soon get chunks.
 IDLE_SHARE: Final = 0.25
+#: The reason that readiness and jobs give.
+SILENT_BUCKET: Final = "the bucket of the stores does not answer; jobs wait until it does; the log says why"
 
 
 class Returned(NamedTuple):
@@ -67,8 +69,8 @@ class Supervisor:
     `Schedule` decides which job submits the next chunk to the executor's limited places. There, later chunks
     of smaller jobs overtake a chunk for at most PASSED_SECONDS.
 
-    `start`, `in_flight`, `metrics`, `cluster`, `remaining_seconds`, `unknown_stores`, `wake`, `look_again`,
-    `repair` and `stop` may be used from any thread. The rest runs in the supervisor's own.
+    `start`, `in_flight`, `metrics`, `cluster`, `remaining_seconds`, `unknown_stores`, `bucket_fault`, `wake`,
+    `look_again`, `repair` and `stop` may be used from any thread. The rest runs in the supervisor's own.
     """
 
     def __init__(self, ledger: Ledger, executor: Executor, settings: Settings, preparer: JobPreparer) -> None:
@@ -83,6 +85,7 @@ class Supervisor:
         self.cluster = executor.state()  # as of the last sync
         self.remaining_seconds = 0.0  # core-seconds of unfinished jobs, by the cost table
         self.unknown_stores: Sequence[str] | None = None  # names that the ledger did not know
+        self.bucket_fault: str | None = None  # why the stores cannot be used, until a sync can list them
         self._inbox: SimpleQueue[Message] = SimpleQueue()
         self._messages: deque[Message] = deque()  # received but not processed
         self._runs: dict[str, JobRun] = {}
@@ -246,6 +249,8 @@ class Supervisor:
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error), exc_info=trace)
         if action is Action.PAUSE:
             self._schedule.slots = 0
+            if isinstance(error, store.UNREACHABLE):
+                self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
         run.apply(chunk, action, error, recompute_predecessor)
 
     def _save(self, run: JobRun) -> None:
@@ -294,6 +299,7 @@ class Supervisor:
         try:
             if self.unknown_stores is None:
                 self.unknown_stores = report_unknown(self._ledger, self._settings)
+                self.bucket_fault = None
             for job in unfinished:
                 run = self._runs.get(job.id)
                 if run is not None:
@@ -303,6 +309,7 @@ class Supervisor:
         except store.UNREACHABLE as error:
             # the other stores are in the same bucket; the next sync tries again
             log.warning("the bucket of the stores does not answer: %s", error)
+            self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
         self._update_waiting(unfinished)
         if cluster.connected and not cluster.workers:  # none of these will begin
             for future in [x for run in self._runs.values() if run.stopped for x in run.in_flight.values()]:
@@ -438,6 +445,7 @@ class Supervisor:
         try:
             self._start_job(job_id)
         except store.UNREACHABLE:
+            self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
             self._schedule.waiting.clear()  # the other stores are in the same bucket: wait for the next sync
 
     def _send(self, run: JobRun, is_turn: bool) -> None:

@@ -142,9 +142,9 @@ def get_job(
     job = find_job(job_id, service)  # called, not a dependency: FastAPI would use a second thread for it
     with service.ledger.reading() as ledger:
         failures = ledger.failures(job)
-    cluster, notice = service.manager.supervisor.cluster, None
+    supervisor, notice = service.manager.supervisor, None
     if job.state in UNFINISHED:
-        notice = service.ledger.fault() or cluster.explanation
+        notice = service.ledger.fault() or supervisor.bucket_fault or supervisor.cluster.explanation
     compiling = service.manager.compiling(job)
     reached = _budget_view(service.budgets.of(job_id, query.budget))
     headers = {"Retry-After": str(seconds)} if (seconds := _retry_after(job)) else {}

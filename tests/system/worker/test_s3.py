@@ -182,7 +182,9 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
     with service(tmp_path, executor, stores=f"{BUCKET_URL}/away") as client:
         here = client.post("/v1/jobs", json=RAMP).headers["Location"]
         wait_for(lambda: sum("its bucket does not answer" in message for message in caplog.messages) >= 2)
-        assert get(client, here)["state"] == "queued"
+        job = get(client, here)
+        assert (job["state"], job["notice"]) == ("queued", client.get("/readyz").json()["detail"])
+        assert "bucket of the stores does not answer" in job["notice"]
         answer: Any = client.get(f"{here}/modes?xi=0.26")
         assert (answer.status_code, answer.headers["Retry-After"]) == (503, "2")
         assert "does not answer" in answer.json()["detail"]
@@ -191,4 +193,5 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
         monkeypatch.setenv("AWS_ENDPOINT_URL", address)
         backend._bucket.cache_clear()
         wait_for(lambda: get(client, here)["state"] == "done")
+        assert client.get("/readyz").status_code == 200
     executor.close()
