@@ -43,13 +43,13 @@ def backup(ledger: Path, file: Path) -> Contents:
             closing(sqlite3.connect(copied.name)) as target,
         ):
             source.backup(target)
-            check(target, Path(copied.name))
+            contents = _contents(target, Path(copied.name))  # before it replaces an earlier copy
     except (sqlite3.OperationalError, OSError) as error:
         reason = getattr(error, "strerror", None) or error
         raise LedgerUnavailable(f"{ledger} cannot be copied to {file}: {reason}") from error
     except sqlite3.DatabaseError as error:
         raise LedgerUnusable(f"{ledger} cannot be copied: {error}") from error
-    return inspect(file)
+    return contents
 
 
 def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
@@ -83,8 +83,12 @@ def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
 def inspect(file: Path) -> Contents:
     """Check a ledger and count its contents. A service may be using it. Raises LedgerUnusable."""
     with _readable(file), _opened(file) as connection:
-        check(connection, file)
-        jobs, chunks = connection.execute("SELECT count(*), total(chunks_done) FROM jobs").fetchone()
+        return _contents(connection, file)
+
+
+def _contents(connection: sqlite3.Connection, file: Path) -> Contents:
+    check(connection, file)
+    jobs, chunks = connection.execute("SELECT count(*), total(chunks_done) FROM jobs").fetchone()
     return Contents(int(jobs), int(chunks))
 
 

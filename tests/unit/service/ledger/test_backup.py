@@ -76,11 +76,12 @@ def test_a_backup_that_cannot_be_written_leaves_the_one_before(folder: Path):
     assert answer.exit_code == 1
     assert "there is no such folder" in answer.output
     assert "Errno" not in answer.output
-    (folder / "data" / "ledger.sqlite").write_bytes(b"no ledger at all" * 999)
-    answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
-    assert answer.exit_code == 1
-    assert "file is not a database" in answer.output
-    assert (folder / "backup.sqlite").read_bytes() == before
+    for content, reason in ((b"no ledger at all" * 999, "file is not a database"), (b"", "no such table")):
+        (folder / "data" / "ledger.sqlite").write_bytes(content)
+        answer = bounce("backup", str(folder / "backup.sqlite"), "--data", str(folder / "data"))
+        assert answer.exit_code == 1
+        assert reason in answer.output
+        assert (folder / "backup.sqlite").read_bytes() == before
     os.mkfifo(folder / "pipe")
     ledger = folder / "data" / "ledger.sqlite"
     for file in (ledger, wal_of(ledger), folder / "pipe"):
