@@ -58,5 +58,5 @@ def file_system(path: Path) -> str | None:
         return None
     kinds = {Path(point.replace("\\040", " ")): kind for _, point, kind, *_ in mounts}
     return next(
-        (kinds[folder] for folder in (path.absolute(), *path.absolute().parents) if folder in kinds), None
+        (kinds[folder] for folder in (path.resolve(), *path.resolve().parents) if folder in kinds), None
     )

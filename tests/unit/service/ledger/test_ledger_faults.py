@@ -246,6 +246,8 @@ def test_the_reserve_is_inside_the_ledgers_own_files(tmp_path: Path):
 
 def test_a_ledger_on_a_network_file_system_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The temporary folder's file system is taken for one."""
+    (tmp_path / "link").symlink_to("/proc")
+    assert ledger_paths.file_system(tmp_path / "link") == "proc"
     kind: Any = ledger_paths.file_system(tmp_path)
     assert kind in subprocess.run(["mount"], capture_output=True, text=True, check=True).stdout
     monkeypatch.setattr(ledger_paths, "NETWORK", frozenset({kind}))
