@@ -132,6 +132,7 @@ def verify(settings: Settings, job_id: str | None) -> Iterator[Finding]:
     """
     if not settings.ledger_path.exists():
         yield from _ledger(settings)
+        yield from _stores(settings)
         return
     preparer = JobPreparer(settings)
     with ExitStack() as stack:

@@ -197,6 +197,8 @@ def test_the_doctor_verifies_all_results_and_has_damage_computed_again(folder: P
         assert sorted(executor.tried) == [3, 5]
     assert bounce("doctor", "--verify", "0" * 32, "--data", str(data)).exit_code == 1
     assert bounce("doctor", jobs[0], "--data", str(data)).exit_code == 2
+    (data / "ledger.sqlite").unlink()
+    assert "unknown to the ledger" in bounce("doctor", "--verify", "--data", str(data)).output
 
 
 def test_the_doctor_names_what_needs_attention(folder: Path):
