@@ -144,6 +144,8 @@ def test_pods_speak_tls_and_are_reached_by_each_other_only():
         assert pod["enableServiceLinks"] is False  # of the service "bounce": BOUNCE_PORT
         assert pod["securityContext"]["runAsUser"] == int(instructions("USER")[-1])
         assert containers[part]["securityContext"]["readOnlyRootFilesystem"] is True
+        # an emptyDir is open to every user: as the cache of kernels it would be refused
+        assert all(mount["mountPath"] != "/app/numba-cache" for mount in containers[part]["volumeMounts"])
     services = [cluster["scheduler"]["service"], *(t["spec"] for t in things if t["kind"] == "Service")]
     assert {each["type"] for each in services} == {"ClusterIP"}
     closed = [t["spec"]["podSelector"]["matchLabels"]["app"] for t in things if t["kind"] == "NetworkPolicy"]
