@@ -191,6 +191,13 @@ class Settings(BaseSettings):
             )
         return value
 
+    @field_validator("data")
+    @classmethod
+    def _check_data(cls, value: Path) -> Path:
+        if value.parts[:1] == ("s3:",):
+            raise ValueError("must be a folder; only `stores` can be in a bucket")
+        return value
+
     @field_validator("stores")
     @classmethod
     def _check_stores(cls, value: str | None) -> str | None:

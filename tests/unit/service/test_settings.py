@@ -31,6 +31,7 @@ def test_every_setting_is_described_in_one_sentence(name: str):
         ({"token": "short"}, "must be at least 16 ASCII characters without spaces, or auto"),
         ({"token": "sixteen characters with s3cret"}, "must be at least 16 ASCII characters without spaces"),
         ({"stores": "ftp://somewhere"}, "stores"),
+        ({"data": "s3://bucket/prefix"}, "must be a folder; only `stores` can be in a bucket"),
         ({"port": 65536}, "port"),
         ({"worker_memory": 1000}, "worker_memory"),
         ({"allowed_hosts": "a.org, http://b.org"}, "http://b.org: a host is a name or an address"),
