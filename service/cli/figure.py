@@ -102,7 +102,7 @@ def tradeoff(output: str | None) -> None:
     """Measure the cost and the accuracy of each contact model.
 
     Computes a fixed set of cells, extreme ones included, one after another in this process, which takes a
-    minute or two.
+    few minutes.
     """
     from service.cli.views import table
     from service.client.display import display_elapsed
