@@ -96,7 +96,7 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
         certified = {name: arrays[name] for name in certificates}
         cells[direction] = selection.recounted(spec, arrays, query.min_flight) | certified
         if spec.fills_in:
-            cells[direction] |= _filled_in(cells[direction])
+            cells[direction] |= selection.filled_in(cells[direction], selection.LABEL.name, "multiplier")
     coords = {"xi": coordinate("xi", xi.value)}
     coords |= {axis: coordinate(axis, spec.axis_values(axis)[part]) for axis, part in window.items()}
     attrs: dict[str, Any] = {
@@ -115,29 +115,6 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
         result["hysteresis"] = variable(_PLANE, compared, _HYSTERESIS)
         result.attrs["complete"] &= complete
     return result
-
-
-def _filled_in(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Label and multiplier of a plane, of cells that are filled in those of the nearest computed cell.
-
-    Steps lead to it from cell to cell of the same mode.
-    """
-    names = [name for name in (selection.LABEL.name, "multiplier") if name in arrays]
-    if not names:
-        return {}
-    *modes, computed = (np.pad(arrays[name], 1).ravel() for name in (*schema.MODE_ARRAYS, COMPUTED.name))
-    source, known = np.arange(computed.size).reshape(-1, arrays[COMPUTED.name].shape[1] + 2), computed == 1
-    inner, flat = source[1:-1, 1:-1], source.ravel()
-    waiting, before = inner[arrays[COMPUTED.name] == 0], -1
-    while before != len(waiting):
-        before = len(waiting)
-        for step in (1, -1, source.shape[1], -source.shape[1]):
-            near = waiting + step
-            takes = np.logical_and.reduce([known[near], *(mode[near] == mode[waiting] for mode in modes)])
-            flat[waiting[takes]] = flat[near[takes]]
-            known[waiting[takes]] = True
-            waiting = waiting[~takes]
-    return {name: np.pad(arrays[name], 1).ravel()[inner] for name in names}
 
 
 def _without(arrays: Mapping[str, NDArray[Any]], hide: str) -> dict[str, NDArray[Any]]:

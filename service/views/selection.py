@@ -298,6 +298,30 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
     return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
 
 
+def filled_in(arrays: Arrays, *names: str) -> dict[str, NDArray[Any]]:
+    """These arrays of a line or plane, if they are there, with values of others for cells that are filled in.
+
+    Those of the nearest computed cell, to which steps lead from cell to cell of the same mode.
+    """
+    there = [name for name in names if name in arrays]
+    if not there:
+        return {}
+    *modes, computed = (np.pad(np.atleast_2d(arrays[name]), 1).ravel() for name in (*MODE_ARRAYS, COMPUTED))
+    shape = arrays[COMPUTED].shape
+    source, known = np.arange(computed.size).reshape(-1, shape[-1] + 2), computed == 1
+    inner, flat = source[1:-1, 1:-1], source.ravel()
+    waiting, before = inner[np.atleast_2d(arrays[COMPUTED]) == 0], -1
+    while before != len(waiting):
+        before = len(waiting)
+        for step in (1, -1, source.shape[1], -source.shape[1]):
+            near = waiting + step
+            takes = np.logical_and.reduce([known[near], *(mode[near] == mode[waiting] for mode in modes)])
+            flat[waiting[takes]] = flat[near[takes]]
+            known[waiting[takes]] = True
+            waiting = waiting[~takes]
+    return {name: np.pad(np.atleast_2d(arrays[name]), 1).ravel()[inner].reshape(shape) for name in there}
+
+
 def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
     """The LABEL of cells and the exponents that decide it, by name; empty if no exponents are stored."""
     if not spec.exponents:

@@ -60,10 +60,13 @@ def test_filled_cells_have_the_margin_and_the_label_of_a_computed_cell_of_their_
     chaos = spec_of(
         (4.4, 5.2, 33), (0.5, 0.8, 33), 0.26, window=(50, 50, 8), exponents=1, refine={"by": "mode"}
     )
-    labels = read(client, f"{finished(client, chaos)}/modes")
+    job = finished(client, chaos)
+    labels = read(client, f"{job}/modes")
     filled = ~labels.computed.astype(bool) & (labels.outcome == Outcome.APERIODIC)
     assert filled.sum() > 100
     assert (labels.label.values[filled.values] == CHAOTIC).mean() > 0.9
+    lines = [read(client, f"{job}/diagram", omega=float(omega)).label.values for omega in labels.omega]
+    assert (lines == labels.label.values)[filled.values].mean() > 0.9
 
 
 def test_refined_thresholds_are_those_of_the_full_grid(client: TestClient, full: str, adaptive: str):
