@@ -301,7 +301,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         if kind == "modes" and spec["protocol"].get("direction") == "both":
             selection = {"hysteresis": True, "direction": "up", **selection}
         elif kind in ("threshold", "orbits"):
-            selection["progress"] = False
+            selection = {"progress": False, **selection}
         elif kind in ("diagram", "exponents") and "along" not in selection and long and "gamma" not in long:
             selection["along"] = long[0]
         if kind == "return":
@@ -314,7 +314,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         else:
             own = {"branches": True, "progress": False} if branches is True else {}
             given = None if isinstance(branches, bool) else branches
-            accessor = self.result(kind, **selection, **own).bounce
+            accessor = self.result(kind, **own | selection).bounce
             axes = accessor.plot(ax=ax, branches=given, data=data, frequency=frequency)
         return axes
 

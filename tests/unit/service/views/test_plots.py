@@ -47,6 +47,8 @@ def test_what_is_drawn_by_default(job: Job, python_client: Client):
     assert job.plot(data=measured, omega=0.6).get_ylabel() == FLIGHT
     both = job.plot("diagram", omega=0.6, ax=Figure().subplots())
     assert both.get_legend_handles_labels()[1] == ["ramp up", "ramp down"]
+    branches = job.plot("diagram", omega=0.6, branches=True, progress=True, ax=Figure().subplots())
+    assert branches.get_legend_handles_labels()[1][2:] == ["stable cycle", "unstable cycle"]
     with pytest.raises(BounceError, match="kind: must be one of diagram, modes, threshold, orbits, "):
         job.plot("pie")  # type: ignore[arg-type]
     with pytest.raises(BounceError, match="are drawn in a diagram"):
