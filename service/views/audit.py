@@ -141,7 +141,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     coords = {
         "against": coordinate("against", list(answers) if both else "numerics"),
         "question": coordinate("question", list(QUESTIONS)),
-        "coverage": coordinate("coverage", COVERAGES),
+        "coverage": coordinate("coverage", COVERAGES, long_name="share of all cells", units="1"),
         "outcome": coordinate("outcome", names),
         "true_outcome": coordinate("true_outcome", names),
     }

@@ -62,7 +62,7 @@ def compute(study: Stored[BasinSpec], query: BasinQuery) -> xarray.Dataset:
         "row": coordinate("row", plane.row_values, **row_attrs),
         "column": coordinate("column", plane.column_values, **column_attrs),
         "attractor": coordinate("attractor", np.arange(1, count + 1, dtype=np.int32), long_name="attractor"),
-        "state": coordinate("state", np.array(STATE_FIELDS)),
+        "state": coordinate("state", STATE_FIELDS, long_name="component of the state"),
     }
     attrs = {
         "plane": plane.plane, "height": plane.height, "model": spec.model.kind,

@@ -17,7 +17,7 @@ from kernel.params import STATE_FIELDS
 from service.errors import TooLarge
 from service.pictures import IDEAL
 from service.views import selection
-from service.views.variables import ENERGY, dataset, row, variable
+from service.views.variables import ENERGY, coordinate, dataset, row, variable
 from worker.orbits.schema import ARRAYS
 from worker.study import Array
 from worker.study.layout import COORDINATES
@@ -139,7 +139,7 @@ def cycle_result(
     model: str = IDEAL, along: str = "gamma", **attrs: Any,
 ) -> xarray.Dataset:  # fmt: skip
     """The Dataset of branches or curves, with the attributes that all of these have."""
-    part = xarray.Variable(("part",), np.array(["real", "imaginary"]))
+    part = coordinate("part", ["real", "imaginary"], long_name="part of a complex number")
     varies = {} if along == "gamma" else {"along": along}
     return dataset(data, {**coords, "part": part}, {"model": model, **varies, **attrs, "complete": complete})
 

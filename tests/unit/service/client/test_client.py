@@ -164,8 +164,8 @@ def test_a_failed_job_says_why(tmp_path: Path):
 # Results
 
 
-def test_every_variable_has_attributes_and_can_be_stored(job: Job, tmp_path: Path):
-    for dataset in (job.diagram(omega=0.5), job.threshold()):
+def test_every_variable_has_attributes_and_can_be_stored(client: Client, job: Job, tmp_path: Path):
+    for dataset in (job.diagram(omega=0.5), job.threshold(), client.orbits(0.5, 0.26, modes="1-1")):
         assert dataset.attrs["Conventions"].startswith("CF-")
         for name, variable in dataset.variables.items():
             assert variable.attrs["long_name"], name

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import xarray
 from fastapi.testclient import TestClient
-from json_results import from_json
 
 if __name__ == "__main__":
     sys.path[:0] = [str(Path(__file__).parents[3] / "support"), str(Path(__file__).parents[4])]
@@ -27,6 +26,7 @@ if __name__ == "__main__":
 
     use_cache()  # before kernels are declared below
 
+from json_results import from_json
 from paths import GOLDEN, ROOT
 from scripted import wait_for
 from served import computing, finished
