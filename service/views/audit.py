@@ -344,10 +344,10 @@ def _sentence(
     sentences = []
     for (against, questions), deviation in zip(answers.items(), deviations, strict=True):
         mode, flights, others = (questions[name] for name in ("mode", "flights", "distribution"))
-        begins, drawn = ("numerics: " if against == "numerics" else "contact: "), "drawn"
-        if against == "numerics" and certified:
-            begins += f"{100.0 * certified:.3g} % of the cells are certified, "
-            drawn = "others drawn"
+        is_part = against == "numerics" and certified
+        begins = f"{100.0 * certified:.3g} % of the cells are certified; " if is_part else ""
+        begins += "computed longer, " if against == "numerics" else "with the exact contact, "
+        drawn = "others drawn" if is_part else "drawn"
         sentences.append(
             f"{begins}{_between(mode)} of the cells have another outcome or mode ({mode.changed} of "
             f"{mode.sampled} {drawn}), {_between(flights)} flights that repeat and deviate by more than "
@@ -361,9 +361,9 @@ def _sentence(
     area, followed = (answers["numerics"][name] for name in ("area", "integrator"))
     if area.sampled:
         drawn = f"{area.changed} of {area.sampled} drawn"
-        sentences.append(f"area: {_between(area)} of all points are not what the nearest cell is ({drawn})")
+        sentences.append(f"{_between(area)} of points between cells differ from the nearest cell ({drawn})")
     if followed.sampled:
-        sentences.append(f"integrator: {followed.changed} of {followed.sampled} cells differ from time steps")
+        sentences.append(f"{followed.changed} of {followed.sampled} cells followed by time steps differ")
     return "; ".join(sentences)
 
 

@@ -62,7 +62,7 @@ def test_an_audit_finds_cells_that_had_no_time_to_settle(client: TestClient):
     assert all(0.8 < gamma < 4 for gamma in anywhere.cell_gamma.values)  # no corner or edge counts more
     assert "of the cells have another outcome or mode" in found.attrs["sentence"]
     area = found.sel(question="area")
-    said = f"nearest cell is ({int(area.changed)} of {int(area.sampled)} drawn)"
+    said = f"nearest cell ({int(area.changed)} of {int(area.sampled)} drawn)"
     assert said in found.attrs["sentence"]
 
 
