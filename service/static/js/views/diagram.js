@@ -136,7 +136,7 @@ export class Diagram extends PlotView {
   whole() {
     const ends = this.sources.map(({ grid }) => cellExtent(grid[this.along]));
     const [x0, x1] = [Math.min(...ends.map(([low]) => low)), Math.max(...ends.map(([, high]) => high))];
-    const flights = Math.max(...this.lines.map((line) => line.highest), this.measured?.highest(x0, x1) ?? 0) || TWO_PI;
+    const flights = Math.max(...this.lines.map((line) => line.highest), ...(this.measured?.valuesIn(x0, x1) ?? [])) || TWO_PI;
     const lowest = Math.min(...this.lines.map((line) => line.lowest)) / 1.5;
     const isLog = this.wantedLog()?.includes("y");
     return { x0, x1, y0: isLog && lowest < flights ? lowest : 0, y1: (isLog ? 1.5 : 1.09) * (this.cycles ? Math.max(flights, TWO_PI) : flights) };

@@ -72,7 +72,7 @@ export class MeasuredPoints {
     return AXES.filter((axis) => axis !== this.view.along && axis !== this.value);
   }
 
-  highest = (low, high) => Math.max(0, ...this.points.filter(({ x }) => x >= low && x <= high).map(({ y }) => y));
+  valuesIn = (low, high) => this.points.filter(({ x }) => x >= low && x <= high).map(({ y }) => y);
 
   update() {
     const { points, view } = this;

@@ -59,8 +59,11 @@ export class Thresholds extends PlotView {
 
   whole() {
     const [x0, x1] = cellExtent(this.omega);
-    const drawn = [...this.computedThresholds, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1)) || 0), ...this.edges, this.measured.highest(x0, x1)];
-    return { x0, x1, y0: 0, y1: 1.12 * Math.max(...drawn) || 1 };
+    const predicted = this.rows.flatMap((row) => [Math.min(row.analytic, this.grid.gamma.at(-1)), row.predicted_down]);
+    const drawn = [...this.computedThresholds, ...predicted, ...this.edges, ...this.measured.valuesIn(x0, x1)].filter(Number.isFinite);
+    const [low, high] = drawn.length ? [Math.min(...drawn), Math.max(...drawn)] : [0, 1];
+    const margin = 0.08 * (high - low) || 0.1 * high;
+    return { x0, x1, y0: Math.max(0, low - margin), y1: high + margin };
   }
 
   content() {
