@@ -662,6 +662,7 @@ def test_a_window_of_a_ramp_keeps_the_ends_where_it_begins(showing: Any):
         page.locator(".cost", has_text="cells in").wait_for()
         fields = [page.locator(f"[data-field='gamma.{name}']") for name in ("start", "stop", "num")]
         assert [field.input_value() for field in fields] == ["0.3", "1.4", "1211"]
+        page.get_by_text("The first cell begins from rest, or on a cycle; a window reaches back").wait_for()
         contact = page.get_by_label("contact model")  # as that of the ramp
         assert contact.is_hidden()
         page.get_by_role("button", name="All settings").click()

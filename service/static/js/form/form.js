@@ -15,7 +15,7 @@ import { showProblems, unfolded } from "./problems.js";
 const ESTIMATE_DELAY_MS = 220;
 const ROWS = ["name", ...AXES, "protocol", "refine", "model"]; // fields with a row of their own, in this order
 const CHOSEN = ["effort", "exponents", "modes", "gamma_max"]; // fields below them; the others are folded away
-const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cycle"], basin: ["Starts", "The plane of starts of each cell"], multistability: ["Starts", "Drops that find the attractors of each cell"] };
+const PROTOCOLS = { ramp: ["Ramp", "The first cell begins from rest, or on a cycle; a window reaches back to it"], basin: ["Starts", "The plane of starts of each cell"], multistability: ["Starts", "Drops that find the attractors of each cell"] };
 
 export class SweepForm {
   edited = new Set(); // names of the fields edited since the form was last filled
@@ -123,7 +123,7 @@ export class SweepForm {
       this.source = { ...spec, ...window };
       const contact = axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } };
       this.#fill(spec ? this.source : { ...this.studies.rest.begin, ...axes, ...contact });
-      this.#showWindow(window);
+      this.#showWindow(window && this.source);
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
       if (field in this.fields) unfolded(this.fields[field].element.querySelector("[data-field]")).focus();
@@ -143,11 +143,11 @@ export class SweepForm {
     this.#onChange();
   }
 
-  /** Of a window on another sweep its axes, what they cost and how exact they are; null shows all fields. */
+  /** Of a window on another sweep its axes and ramp, what they cost and how exact they are; null shows all fields. */
   #showWindow(window) {
     this.heading.textContent = window ? window.name : "New study";
     this.form.classList.toggle("window", Boolean(window));
-    for (const [name, { element }] of Object.entries(this.fields)) element.classList.toggle("asked", Boolean(window?.[name]?.num));
+    for (const [name, { element }] of Object.entries(this.fields)) element.classList.toggle("asked", Boolean(window?.[name]?.num || window?.[name]?.axis));
   }
 
   #replace(spec) {
