@@ -97,7 +97,7 @@ export class TrajectoryPanel {
     const [mapPath, mapOptions] = requestOf(job, cell, MAPPED);
     const mapFailed = (error) => { if (!isHandledElsewhere(error)) this.portraits.mapNote.textContent = error.message; };
     requestMotion(mapPath, { ...mapOptions, signal }).then(({ flights: mapped }) => this.portraits.show({ flights: mapped })).catch(mapFailed);
-    if (!options.body && (start || cycle)) this.#offerProof(path, signal);
+    if (!options.body && (start || cycle)) this.#offerProof(path, signal, cycle);
   }
 
   /** Play a motion; a note tells that it is computed, beside another one after SLOW_MS. */
@@ -121,8 +121,8 @@ export class TrajectoryPanel {
     this.root.classList.toggle("empty", Boolean(error));
   }
 
-  /** A button that has the cell's cycle proven, and the answer in its place. */
-  #offerProof(path, signal) {
+  /** A button that has the cell's cycle proven, or of an attractor one that it may be on, and the answer in its place. */
+  #offerProof(path, signal, cycle) {
     const prove = async () => {
       const { proof, proof_says: says, proven_flight_times: times } = await requestDataset(`${path}&prove=true`, { signal });
       const flights = times.data.map(([low, high]) => h("li", {}, `${low} to ${high} rad`));
@@ -131,7 +131,7 @@ export class TrajectoryPanel {
       this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
     };
     const failed = (error) => { if (!signal.aborted) this.proof.textContent = error.message; };
-    this.proof.replaceChildren(workButton("Prove this cycle", prove, failed, { className: "quiet", busy: "Proving …" }));
+    this.proof.replaceChildren(workButton(cycle ? "Prove this cycle" : "Look for a cycle to prove", prove, failed, { className: "quiet", busy: "Proving …" }));
   }
 
   hide() {
