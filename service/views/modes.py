@@ -110,6 +110,8 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
     if spec.fills_in:
         attrs["computed_share"] = _computed_share(study, xi.index, directions[0])
     result = cells_dataset(cells, coords, _ROWS, attrs)
+    if spec.fills_in and certificates:
+        result["multiplier"].attrs["comment"] += "; of skipped cells that of a computed neighbour"
     if query.hysteresis:
         compared, complete = _hysteresis(study, xi.index, window, query.min_flight)
         result["hysteresis"] = variable(_PLANE, compared, _HYSTERESIS)

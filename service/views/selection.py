@@ -53,6 +53,7 @@ LABEL: Final = Array(
         "units": "1",
         "flag_values": list(range(len(LABELS))),
         "flag_meanings": " ".join(LABELS),
+        "comment": "of skipped cells of an adaptive map that of a computed neighbour",
     },
 )  # fmt: skip
 

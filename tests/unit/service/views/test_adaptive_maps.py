@@ -52,6 +52,8 @@ def test_filled_cells_have_the_margin_and_the_label_of_a_computed_cell_of_their_
     assert set(part.multiplier.values[cells]) <= set(part.multiplier.values[~filled.values])
     assert np.median(abs(part.multiplier - whole.multiplier).values[cells]) < 0.1
     assert np.isnan(part.flight_error.values[filled.values]).all()  # no certificate
+    assert "computed neighbour" in part.multiplier.attrs["comment"]
+    assert "neighbour" not in whole.multiplier.attrs["comment"]
     assert (
         f"{100.0 * part.attrs['computed_share']:.2g} % of the cells computed"
         in part.bounce.plot().get_title()
