@@ -48,6 +48,7 @@ def command(name: str) -> click.Command:
         client: "Client", output: str | None, format: str | None, job_id: str | None = None,
         data: str | None = None, **query: Any,
     ) -> None:  # fmt: skip
+        output = output or (format and "-")
         methods = kinds[-1] if job_id is None else kinds[0]
         parameters = _parameters(methods, name)
         required = (field for field, about in parameters.items() if about.default is Parameter.empty)
@@ -85,7 +86,7 @@ def command(name: str) -> click.Command:
     decorated = options.with_client(run)
     decorated = click.option(
         "-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-        help="File to write; - is standard output.  [default: print a table]",
+        help="File to write; - is standard output.  [default: print a table, or --format]",
     )(decorated)  # fmt: skip
     if name in MEASURED:
         decorated = measured_points(decorated)

@@ -141,7 +141,7 @@ def test_a_diagram_is_written_as_its_name_says(url: str, job: str, tmp_path: Pat
         assert result.exit_code == 0, result.stderr
         assert (tmp_path / name).read_bytes().startswith(begin)
     assert {path.name for path in tmp_path.iterdir()} == set(begins)
-    line = ("--along", "omega", "--gamma", 1.5, "--format", "json", "-o", "-")
+    line = ("--along", "omega", "--gamma", 1.5, "--format", "json")
     assert json.loads(bounce("diagram", job, *line, url=url).stdout)["coords"]["omega"]["data"] == [0.5, 0.7]
 
 
