@@ -172,7 +172,7 @@ def plan(client: "Client", spec: str, as_json: bool, output: str | None, **query
 def import_file(client: "Client", file: str) -> None:
     """Make the sweep of a shared FILE a job, and print its id.
 
-    FILE is a page that "bounce share" wrote here or elsewhere, and holds all numbers of the sweep.
+    FILE is a page of "bounce share" with all numbers of the sweep. Its audit and measured points stay behind.
     """
     click.echo(client.import_shared(file).id)
 

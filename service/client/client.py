@@ -145,8 +145,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
     def import_shared(self, path: "str | PathLike[str]") -> Job:
         """Import the sweep of a file that `Job.share` wrote: a done job, the same to the last bit.
 
-        Raises BadRequest for a file of another kind, a damaged one, or one without all numbers, TooLarge,
-        Conflict, Busy.
+        Its audit and measured points stay behind. Raises BadRequest for a file of another kind, a damaged
+        one, or one without all numbers, TooLarge, Conflict, Busy.
         """
         with Path(path).open("rb") as file:
             content = file.read(MOST_SHARED + 1)  # one more is refused

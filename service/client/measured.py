@@ -96,7 +96,7 @@ def _table(data: Data, frequency: float | None = None) -> "pandas.DataFrame":
             line = "".join(f" ({line})" for line in re.findall(r"line \d+", str(error)))
             raise BounceError(f"data: {rule}{line}; commas separate columns, points decimals") from None
         except ValueError:
-            raise BounceError(f"data: {data} is no text (UTF-8) of columns with commas") from None
+            raise BounceError(f"data: {data} is empty or no text (UTF-8) of columns with commas") from None
         unnamed = read.columns.str.startswith("Unnamed: ") & read.isna().all()  # below a comma too many
         data = read.loc[:, ~unnamed].rename(columns=str.strip)
     try:

@@ -44,9 +44,8 @@ export class Thresholds extends PlotView {
   read([result]) {
     this.rows = partsOf(result, "omega");
     [this.omega, this.xi, this.complete] = [result.omega.data, result.xi.data, result.attrs.complete];
-    const isRest = this.directions[0] === "rest";
     this.series = [
-      { ...(isRest ? { name: "from rest", direction: "rest" } : { name: "ramp up", direction: "up" }), way: "up" },
+      { ...(this.directions[0] === "rest" ? { name: "from rest", direction: "rest" } : { name: "ramp up", direction: "up" }), way: "up" },
       { name: "ramp down", direction: "down", way: "down" },
     ].filter(({ way }) => this.rows.some((row) => row[`${way}_status`] !== "not ramped"));
     const { gamma } = this.grid;
@@ -59,11 +58,9 @@ export class Thresholds extends PlotView {
 
   whole() {
     const [x0, x1] = cellExtent(this.omega);
-    const predicted = this.rows.flatMap((row) => [Math.min(row.analytic, this.grid.gamma.at(-1)), row.predicted_down]);
-    const drawn = [...this.computedThresholds, ...predicted, ...this.edges, ...this.measured.valuesIn(x0, x1)].filter(Number.isFinite);
+    const drawn = [...this.computedThresholds, ...this.rows.map(({ analytic }) => Math.min(analytic, this.grid.gamma.at(-1))), ...this.edges, ...this.measured.valuesIn(x0, x1)].filter(Number.isFinite);
     const [low, high] = drawn.length ? [Math.min(...drawn), Math.max(...drawn)] : [0, 1];
-    const margin = 0.08 * (high - low) || 0.1 * high;
-    return { x0, x1, y0: Math.max(0, low - margin), y1: high + margin };
+    return { x0, x1, y0: Math.max(0, low - 0.12 * high), y1: 1.12 * high || 1 };
   }
 
   content() {

@@ -170,7 +170,7 @@ def test_a_csv_file_has_no_cells_beyond_its_columns(tmp_path: Path):
     ({"gamma": [1.0], "flight_time_ms": [9.0]}, "data: flight_time_ms needs the plate's frequency in Hz"),
     ({"gamma": [1.0], "speed": [9.0]}, "data: speed is no column here; these are gamma, omega, xi"),
     ({"gamma": [1.0], "omega": [0.7], "flight_time": [2.0]}, "data: no point is at omega = 0.6, xi = 0.05"),
-    (Path(__file__).parents[4] / "docs/page.png", "is no text (UTF-8) of columns with commas"),
+    (Path(__file__).parents[4] / "docs/page.png", "is empty or no text (UTF-8) of columns with commas"),
 ])  # fmt: skip
 def test_data_that_is_no_table_of_points_is_refused(job: Job, data: Any, rule: str):
     with pytest.raises(BounceError) as caught:
