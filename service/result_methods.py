@@ -76,9 +76,8 @@ class ResultMethods(Methods):
         """Outcome, bounces and plate periods of every cell.
 
         The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
-        unless one is selected. In an adaptive map `computed` marks the computed cells, and the attribute
-        `computed_share` is their share; others have the mode of the nearest corner or centre of their block, and
-        the label and the multiplier of a computed cell of that mode beside them.
+        unless one is selected. In an adaptive map `computed` marks the computed cells, the attribute
+        `computed_share` is their share; others have the mode of their block, a neighbour's label and multiplier.
         With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
 
         Returns a Dataset with the attribute `complete` and the variables `bounces`, `periods`, `outcome`,

@@ -101,8 +101,7 @@ def _service(workers: int | None, data: str | None, token: str | None) -> Iterat
 def tradeoff(output: str | None) -> None:
     """Measure the cost and the accuracy of each contact model.
 
-    Computes a fixed set of cells, extreme ones included, one after another in this process, which takes a
-    few minutes.
+    Computes a fixed set of cells, extreme ones included, one after another in this process: some minutes.
     """
     from service.cli.views import table
     from service.client.display import display_elapsed

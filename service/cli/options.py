@@ -188,7 +188,7 @@ def output_format(output: str, formats: tuple[str, ...], format: str | None = No
     ending = format or Path(output).suffix.lower().removeprefix(".")
     if ending not in formats:
         raise click.BadParameter(
-            f"{format or output!r} does not end in {', '.join('.' + name for name in formats)}", param_hint="'-o'"
+            f"{format or output!r} does not end in {', '.join('.' + x for x in formats)}", param_hint="'-o'"
         )
     if not Path(output).parent.is_dir():
         raise click.BadParameter(f"there is no folder {Path(output).parent}", param_hint="'-o'")

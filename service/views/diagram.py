@@ -163,8 +163,6 @@ def _read_line(
     names = [row.name for row in rows_of(spec) if row is not selection.LABEL]
     arrays = selection.read_direction(study, names, direction, indices)
     arrays |= selection.recounted(spec, arrays, min_flight)
-    if spec.fills_in:
-        arrays |= selection.filled_in(arrays, selection.LABEL.name)
     shown = counted(arrays["flight_time"], arrays["flights"], selection.shortest(spec, min_flight))
     for name in ("flight_time", "takeoff_phase"):
         arrays[name] = np.where(shown, arrays[name], np.nan)

@@ -79,24 +79,21 @@ def compute(study: selection.Stored[SweepSpec], query: ModesQuery) -> xarray.Dat
     """Outcome, bounces and plate periods of every cell.
 
     The cells are those of the plane at one ξ. A sweep ramped both ways has the dimension `direction`,
-    unless one is selected. In an adaptive map `computed` marks the computed cells, and the attribute
-    `computed_share` is their share; others have the mode of the nearest corner or centre of their block, and
-    the label and the multiplier of a computed cell of that mode beside them.
+    unless one is selected. In an adaptive map `computed` marks the computed cells, the attribute
+    `computed_share` is their share; others have the mode of their block, a neighbour's label and multiplier.
     With the color `multiplier` cells have their certificates, too. Cells of classes to `hide` are `missing`.
     """
     spec, directions = study.spec, selection.directions_of(study.spec, query.direction)
     xi, window = selection.nearest_index(spec, "xi", query.xi), _window(spec, query)
-    names = selection.arrays_of_modes(spec, query.min_flight)
     certificates = [row.name for row in schema.CERTIFICATE] if query.color == "multiplier" else []
+    names = (*selection.arrays_of_modes(spec, query.min_flight), *certificates)
     cells = {}
     for direction in directions:
-        arrays = selection.read_direction(
-            study, (*names, *certificates), direction, {"xi": xi.index, **window}
-        )
-        certified = {name: arrays[name] for name in certificates}
-        cells[direction] = selection.recounted(spec, arrays, query.min_flight) | certified
-        if spec.fills_in:
-            cells[direction] |= selection.filled_in(cells[direction], selection.LABEL.name, "multiplier")
+        arrays = selection.read_direction(study, names, direction, {"xi": xi.index, **window})
+        cells[direction] = selection.recounted(spec, arrays, query.min_flight)
+        cells[direction] |= {name: arrays[name] for name in certificates}
+        if spec.fills_in and certificates:
+            cells[direction]["multiplier"] = selection.filled_in(cells[direction], "multiplier")
     coords = {"xi": coordinate("xi", xi.value)}
     coords |= {axis: coordinate(axis, spec.axis_values(axis)[part]) for axis, part in window.items()}
     attrs: dict[str, Any] = {

@@ -296,31 +296,28 @@ def recounted(spec: SweepSpec, arrays: Arrays, min_flight: float | None) -> dict
         )
         modes = {name: getattr(counted, name).reshape(arrays["flights"].shape) for name in MODE_ARRAYS}
     computed = {COMPUTED: arrays[COMPUTED]} if spec.fills_in else {}
-    return modes | labelled(spec, modes[schema.OUTCOME.name], arrays) | computed
+    return modes | labelled(spec, modes[schema.OUTCOME.name], {**arrays, **modes}) | computed
 
 
-def filled_in(arrays: Arrays, *names: str) -> dict[str, NDArray[Any]]:
-    """These arrays of a line or plane, if they are there, with values of others for cells that are filled in.
+def filled_in(arrays: Arrays, name: str) -> NDArray[Any]:
+    """An array of a line or of planes; cells that are filled in have the value of the nearest computed cell.
 
-    Those of the nearest computed cell, to which steps lead from cell to cell of the same mode.
+    Steps lead to it from cell to cell of the same mode.
     """
-    there = [name for name in names if name in arrays]
-    if not there:
-        return {}
-    *modes, computed = (np.pad(np.atleast_2d(arrays[name]), 1).ravel() for name in (*MODE_ARRAYS, COMPUTED))
-    shape = arrays[COMPUTED].shape
-    source, known = np.arange(computed.size).reshape(-1, shape[-1] + 2), computed == 1
-    inner, flat = source[1:-1, 1:-1], source.ravel()
-    waiting, before = inner[np.atleast_2d(arrays[COMPUTED]) == 0], -1
+    framed = [np.pad(np.atleast_2d(arrays[x].squeeze()), 1) for x in (*MODE_ARRAYS, COMPUTED, name)]
+    *modes, computed, values = (x.ravel() for x in framed)
+    known, flat, row = computed == 1, np.arange(computed.size), framed[0].shape[-1]
+    inner = flat.reshape(framed[0].shape)[(slice(1, -1),) * framed[0].ndim]
+    waiting, before = inner[computed[inner] == 0], -1
     while before != len(waiting):
         before = len(waiting)
-        for step in (1, -1, source.shape[1], -source.shape[1]):
+        for step in (1, -1, row, -row):
             near = waiting + step
             takes = np.logical_and.reduce([known[near], *(mode[near] == mode[waiting] for mode in modes)])
             flat[waiting[takes]] = flat[near[takes]]
             known[waiting[takes]] = True
             waiting = waiting[~takes]
-    return {name: np.pad(np.atleast_2d(arrays[name]), 1).ravel()[inner].reshape(shape) for name in there}
+    return values[inner].reshape(arrays[name].shape)
 
 
 def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
@@ -329,6 +326,8 @@ def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dic
         return {}
     lyapunov, error = arrays[schema.LYAPUNOV.name], arrays[schema.LYAPUNOV_ERROR.name]
     label = label_codes(outcome, lyapunov, error, spec.observe)
+    if spec.fills_in:
+        label = filled_in({**arrays, LABEL.name: label}, LABEL.name)
     return {LABEL.name: label, schema.LYAPUNOV.name: lyapunov, schema.LYAPUNOV_ERROR.name: error}
 
 
