@@ -161,7 +161,7 @@ _COMMON: Final = ("Conventions", "title", "job", "kernel_version", "release", "c
 
 
 def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
-    """A table for each variable of `rows`, then the scalars and attributes, one line each.
+    """A table for each variable of `rows`, then the scalars with units and attributes, one line each.
 
     An axis of one value that is in no table is a scalar. Leaves out columns and scalars without a value.
     """
@@ -171,15 +171,14 @@ def table(result: "xarray.Dataset", rows: Sequence[str]) -> str:
     lines = [_rows(result, name) for name in tables]
     others = set(result.indexes).difference(*(result[name].dims for name in tables))
     fixed = result.squeeze([dim for dim in others if result.sizes[dim] == 1])
-    scalars = {str(name): v.values.item() for name, v in fixed.variables.items() if not v.dims}
-    scalars |= {name: value for name, value in result.attrs.items() if name not in _COMMON}
-    lines += [
-        f"{name.replace('_', ' ')}  {value:.{DIGITS}g}"
-        if isinstance(value, float)
-        else f"{name.replace('_', ' ')}  {value}"
-        for name, value in scalars.items()
-        if (isfinite(value) if isinstance(value, float) else value != "")
-    ]
+    scalars = {str(name): v for name, v in fixed.variables.items() if not v.dims}
+    values = {name: v.values.item() for name, v in scalars.items()}
+    values |= {str(name): value for name, value in result.attrs.items() if name not in _COMMON}
+    for name, value in values.items():
+        if isfinite(value) if isinstance(value, float) else value != "":
+            text = f"{value:.{DIGITS}g}" if isinstance(value, float) else value
+            unit = scalars[name].attrs.get("units", "1") if name in scalars else "1"
+            lines.append(f"{name.replace('_', ' ')}  {text}{f' {unit}' if unit != '1' else ''}")
     return "\n".join(lines)
 
 
