@@ -356,6 +356,9 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of flights")).wait_for()
         assert page.locator(".panel .plot").bounding_box()["y"] < 140
+        page.get_by_label("Value of Ω").fill("5")
+        page.get_by_label("Value of Ω").press("Enter")
+        page.wait_for_function("() => document.activeElement.validationMessage.includes('from 0.12 to 2')")
         page.get_by_label("Value of Ω").fill("0.6003")
         page.get_by_label("Value of ξ").fill("0.05")
         page.get_by_label("Value of ξ").press("Enter")

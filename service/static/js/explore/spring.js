@@ -35,7 +35,7 @@ function contactOf() {
 
 /** The cycles of the spring, and the flights of the motion shown. */
 export class Explore extends Cycles {
-  isContinuous = true;
+  get isContinuous() { return true; } // read before fields have values
 
   constructor(root, address, signal) {
     document.title = "Explore · Bouncing spring";

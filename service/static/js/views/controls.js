@@ -3,7 +3,7 @@
 import { addressValue, currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { h } from "../lib/dom.js";
 import { numberIn } from "../lib/format.js";
-import { MEANING, SYMBOL, axisText, clamp, nearestIndex } from "../lib/physics.js";
+import { MEANING, SYMBOL, axisText, nearestIndex } from "../lib/physics.js";
 
 /** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
 export function sliders(view, axes) {
@@ -15,11 +15,8 @@ export function sliders(view, axes) {
 function slider(view, axis) {
   const values = view.valuesOf(axis);
   const id = `slider-${axis}`;
-  const take = (value) => {
-    const nearest = view.isContinuous ? clamp(value, values[0], values.at(-1)) : values[nearestIndex(values, value)];
-    setQuery({ [axis]: addressValue(nearest) });
-  };
-  const typed = typedNumber(take, {}, { size: 1, "aria-label": `Value of ${SYMBOL[axis]}` });
+  const take = (value) => setQuery({ [axis]: addressValue(view.isContinuous ? value : values[nearestIndex(values, value)]) });
+  const typed = typedNumber(take, view.isContinuous ? { min: values[0], max: values.at(-1) } : {}, { size: 1, "aria-label": `Value of ${SYMBOL[axis]}` });
   const input = h("input", {
     id, type: "range", min: 0, max: values.length - 1, step: 1, title: MEANING[axis],
     oninput: () => setQuery({ [axis]: addressValue(values[input.valueAsNumber]) }),
