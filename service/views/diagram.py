@@ -206,13 +206,15 @@ def _caption(spec: SweepSpec, result: xarray.Dataset) -> str:
     start = "from rest" if spec.ramp_axis is None else f"{ramped} along {spec.ramp_axis}"
     flights = f", flights above {attrs['min_flight']:g} rad" if attrs["min_flight"] else ""
     thinned = f", 1 cell in {attrs['every']:,}" if attrs["every"] > 1 else ""
+    skips = "computed" in result
+    done = f", {int(result.computed.sum()):,} of {outcome.size:,} cells computed" if skips else ""
     lost = int(np.count_nonzero(np.isin(outcome, (Outcome.UNRESOLVED, Outcome.DIVERGED))))
     unresolved = f", {lost:,} of {outcome.size:,} cells unresolved" if lost else ""
     codes = result.variables[selection.LABEL.name if selection.LABEL.name in result else "outcome"].values
     special = (Outcome.SETTLING, QUASI_PERIODIC, CHAOTIC, UNSTABLE)
     counts = {code: int(np.count_nonzero(codes == code)) for code in special}
     labelled = "".join(f", {count:,} {LABELS[code]}" for code, count in counts.items() if count)
-    return f"{CONTACT_MODELS[spec.model.kind].label}, {start}{flights}{thinned}{unresolved}{labelled}"
+    return f"{CONTACT_MODELS[spec.model.kind].label}, {start}{flights}{thinned}{done}{unresolved}{labelled}"
 
 
 #: Size of the picture, inches.
