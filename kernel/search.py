@@ -150,7 +150,7 @@ class _Search:
                 guess = read(self.plate, Cell(gamma, self.omega, self.xi), periods, state)
                 if guess is None or not _NEAR < np.abs(guess[0].equations(guess[1]).value).max() < _FAR:
                     continue
-                solved = guess[0].at(guess[1], gamma)
+                solved = guess[0].about(guess[1], gamma)
                 point = None if solved is None else admissible(solved)
                 if point is not None and not repeats(point):
                     begin = _first(point)

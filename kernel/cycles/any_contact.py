@@ -6,7 +6,6 @@ rebound the cycles of one mode lie on several branches: besides cycles that stic
 hops that never do, whose cycle of one flight has a closed form too.
 """
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, pairwise, takewhile
 from typing import Any, Final
@@ -124,7 +123,7 @@ def passing(line: Followed, parameter: float) -> Iterator[Point]:
             continue
         near = min((a, b), key=lambda x: abs(x.parameter - parameter) / max(abs(x.rising), 1e-300))
         point = near.cycles.at(near.x, parameter)
-        if (point is None or not math.isclose(point.parameter, parameter)) and a.letters == b.letters:
+        if point is None and a.letters == b.letters:
             point = _between(a, b, lambda x: x.parameter - parameter)
         if point is not None and admissible(point) is not None:
             yield point
@@ -205,7 +204,7 @@ def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
         unstable = starts_on_admissible_cycles(omega, xi, periods)
         yield from filter(None, (beside(plate, start, periods) for start in unstable))
     hops = starts_between_landings(omega, xi, periods, float(plate.restitution[0]))
-    never_stuck = (cycle_from(plate, start.cell, periods, start.state) for start in hops)
+    never_stuck = (cycle_from(plate, start.cell, periods, start.state, seed=True) for start in hops)
     yield from islice((point for point in never_stuck if point is not None and not repeats(point)), 1)
 
 
@@ -219,7 +218,7 @@ def beside(plate: Any, start: CycleStart | None, periods: int, rounds: int = 0) 
     cell, state = start.start.cell, start.start.state
     if rounds > 0:
         state = state_after(plate, cell, state, rounds * periods)
-    point = cycle_from(plate, cell, periods, state)
+    point = cycle_from(plate, cell, periods, state, seed=True)
     if point is None or max(point.flights) < _REST or repeats(point):
         return None
     return point

@@ -175,12 +175,17 @@ class Cycles(NamedTuple):
         return newton(*cycles, x, direction, goal, converged, most)
 
     def at(self, x: Floats, parameter: float) -> Point | None:
-        """The cycle near x (m,) at a value of the parameter."""
+        """The cycle near x (m,) at a value of the parameter, or None."""
+        point = self.about(x, parameter)
+        return point if point is not None and math.isclose(point.parameter, parameter) else None
+
+    def about(self, x: Floats, parameter: float) -> Point | None:
+        """The cycle near x (m,) at about a value of the parameter; beside a fold it may be at another."""
         point = None
         for _ in range(_SAME_GAMMA):
             way = self.gradient(x)
             point = self.newton(x, way, float(way @ x) + parameter - self.parameter(x))
-            if point is None or abs(point.parameter - parameter) < 1e-14 * parameter:
+            if point is None or abs(point.parameter - parameter) <= 1e-14 * parameter:
                 break
             x = point.x
         return point
@@ -383,16 +388,19 @@ def end_of_round(letters: str, times: Floats, first: int, whole: float, around: 
     return min(ends, key=unlike, default=0)
 
 
-def cycle_from(plate: Any, cell: Cell, periods: int, state: Floats, within: float = math.inf) -> Point | None:
+def cycle_from(
+    plate: Any, cell: Cell, periods: int, state: Floats, within: float = math.inf, *, seed: bool = False
+) -> Point | None:
     """The cycle of `periods` plate periods near a state (6,), or None.
 
-    within: how far its unknowns may lie from the round read from the state.
+    within: how far its unknowns may lie from the round read from the state. seed: it begins a branch, so that
+    it may be at another Gamma.
     """
     guess = read(plate, cell, periods, state)
     if guess is None:
         return None
     cycles, x = guess
-    point = cycles.at(x, float(cell.gamma))
+    point = (cycles.about if seed else cycles.at)(x, float(cell.gamma))
     if point is None or np.abs(point.x - x).max() > within:
         return None
     return admissible(point)

@@ -105,6 +105,8 @@ def test_a_branch_passes_twice_beside_its_fold(above):
     points = list(passing(line, fold + above))
     assert [point.parameter for point in points] == pytest.approx([fold + above] * 2, abs=1e-9)
     assert sorted(point.stable for point in points) == [False, True]
+    beside = min(line.points, key=lambda point: abs(point.parameter - fold))
+    assert beside.cycles.at(beside.x, fold - above) is None
 
 
 def test_a_branch_that_goes_on_beyond_its_points_says_so():
