@@ -14,7 +14,8 @@ import numpy as np
 
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, Kind, branch, events_of, join_events
-from kernel.cycles.follow import POINTS, RANGE, End, Event, Followed, ahead, follow, root
+from kernel.cycles.follow import POINTS, RANGE, ROUNDING, End, Event, Followed, ahead, follow, root
+from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
 from kernel.cycles.starts import (
     CycleStart,
@@ -111,15 +112,17 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
 
 def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Followed:
     """The branch through a cycle outside of `span`, up to the first cycle within, if there is one."""
-    edge = span[0] if seed.parameter < span[0] else span[1]
-    low, high = sorted((seed.parameter, edge))
-    return follow(seed, edge - seed.parameter, points=points, span=(low, high))
+    reach = min(span[0], seed.parameter), max(span[1], seed.parameter)
+    return follow(
+        seed, span[0] - seed.parameter, points=points, span=reach,
+        until=lambda point: span[0] <= point.parameter <= span[1],
+    )  # fmt: skip
 
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:
     """The cycles of a branch at a value of its parameter."""
     for a, b in pairwise(_with_folds(line.points, parameter)):
-        if (a.parameter - parameter) * (b.parameter - parameter) > 0.0:
+        if _away([a, b], parameter).prod() > 0.0:
             continue
         near = min((a, b), key=lambda x: abs(x.parameter - parameter) / max(abs(x.rising), 1e-300))
         point = near.cycles.at(near.x, parameter)
@@ -127,6 +130,12 @@ def passing(line: Followed, parameter: float) -> Iterator[Point]:
             point = _between(a, b, lambda x: x.parameter - parameter)
         if point is not None and admissible(point) is not None:
             yield point
+
+
+def _away(points: list[Point], parameter: float) -> Floats:
+    """Distances of cycles from a value of their parameter; zero for a cycle on a limit at this value."""
+    away = np.array([point.parameter for point in points]) - parameter
+    return np.where(np.abs(away) > 2.0 * ROUNDING * parameter, away, 0.0)
 
 
 def _with_folds(points: list[Point], parameter: float) -> Iterator[Point]:
@@ -239,7 +248,7 @@ def lies_on(point: Point, line: Followed) -> bool:
     """Whether a branch passes through a cycle, whichever segment either begins with."""
     if line.points[0].cycles.periods != point.cycles.periods:
         return False
-    away = np.array([other.parameter for other in line.points]) - point.parameter
+    away = _away(line.points, point.parameter)
     close = np.abs(away) < _FOLDED
     between = away[:-1] * away[1:] <= 0.0
     for i in np.flatnonzero(between | close[:-1] & close[1:]):

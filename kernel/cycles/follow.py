@@ -28,6 +28,8 @@ _SMALLEST_SOFT: Final = 1e-8
 #: A step to a broken solution is shortened to this. Then the change before it is located.
 _NEAR: Final = 1e-6
 
+#: A cycle on a limit of the parameter may lie beyond by this, relative.
+ROUNDING: Final = 1e-13
 #: Relative size of the last Newton step along a branch. The remaining error is its square.
 _NEARLY: Final = 1e-11
 
@@ -108,16 +110,16 @@ def follow(
     """Follow the branch from a cycle on.
 
     way: the parameter first rises (> 0) or falls (< 0); 0 keeps the direction of the cycle's tangent. Stops
-    where the parameter leaves `span`, at the first cycle for which `until` holds, and where a closed branch
-    returns to `point`. Any other end is an event whose kind is an `End`. crossings: those of CROSSINGS that
-    are located.
+    at the limits of the parameter, `span`, at the first cycle for which `until` holds, and where a closed
+    branch returns to `point`. Any other end is an event whose kind is an `End`. crossings: those of CROSSINGS
+    that are located.
     """
     origin = point = point if point.rising * way >= 0.0 else replace(point, tangent=-point.tangent)
     line: list[Point] = []
     events: list[Event] = []
 
     def leaves(cycle: Point) -> bool:
-        return not span[0] <= cycle.parameter <= span[1] or until(cycle)
+        return not _within(cycle, span) or until(cycle)
 
     for _ in range(SIGNATURES):
         stretch = _walk(point, points - len(line), leaves, origin)
@@ -135,20 +137,27 @@ def follow(
         if end is not None:
             events.append(Event(end, last, after=len(line) - 1))
         if end is not None or after is None:
-            return Followed(line, events) if last.parameter >= 0.0 else _up_to_zero(line, events)
+            return _up_to_limit(line, events, span)
         point = after
     return Followed(line, [*events, Event(End.CUT_OFF, line[-1], after=len(line) - 1)])
 
 
-def _up_to_zero(line: list[Point], events: list[Event]) -> Followed:
-    """A branch without its last point, which has left for a negative parameter: no spring has such a xi."""
+def _up_to_limit(line: list[Point], events: list[Event], span: tuple[float, float]) -> Followed:
+    """A branch up to the limit of its parameter, with the cycle there, instead of a last point beyond."""
     *inside, last = line
-    kept = [event for event in events if event.point.parameter >= 0.0]
-    near = last.cycles.at(last.x, 0.0)
-    if near is not None and not (inside and inside[-1].parameter == 0.0):
-        edge = admissible(near.cycles.on_branch(np.append(near.x[:-1], 0.0)))
-        inside += [] if edge is None else [edge.towards(last.tangent)]
-    return Followed(inside or line, kept)
+    if not inside or _within(last, span):
+        return Followed(line, events)
+    limit = float(np.clip(last.parameter, span[0] * (1.0 + ROUNDING), span[1] * (1.0 - ROUNDING)))
+    near = root(inside[-1], _reach(inside[-1], last), lambda x: x.parameter - limit)
+    edge = near and near.cycles.at(near.x, limit)
+    edge = near and edge and admissible(edge.towards(near.tangent))
+    inside += [] if edge is None else [edge]
+    return Followed(inside, [event for event in events if _within(event.point, span)])
+
+
+def _within(cycle: Point, span: tuple[float, float]) -> bool:
+    """Whether the parameter of a cycle has not left `span`."""
+    return span[0] * (1.0 - ROUNDING) <= cycle.parameter <= span[1] * (1.0 + ROUNDING)
 
 
 def _end(last: Point) -> End | None:

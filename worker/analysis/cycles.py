@@ -123,16 +123,6 @@ def _doubled(lines: list[Followed], span: tuple[float, float], points: int) -> l
     return new
 
 
-def _to_limits(line: Followed, span: tuple[float, float]) -> Followed:
-    """A branch up to the limits of its parameter, with the cycles there, instead of an end beyond."""
-    points = list(line.points)
-    for end, inside in ((0, 1), (-1, -2)) if len(points) > 1 else ():
-        limit = min(max(points[end].parameter, span[0]), span[1] * (1.0 - 1e-13))  # despite rounding
-        if not span[0] <= points[end].parameter <= span[1]:
-            points[end] = next(passing(Followed([points[inside], points[end]], []), limit), points[end])
-    return Followed(points, [x for x in line.events if span[0] <= x.point.parameter <= span[1]])
-
-
 def _recorded(
     lines: list[Followed], span: tuple[float, float], points: int, twice: bool, *, flights: bool,
     micro_flight: float = MICRO_FLIGHT, skipped: Sequence[Skipped] = (),
@@ -143,7 +133,6 @@ def _recorded(
     """
     if twice:
         lines = lines + _doubled(lines, span, points)
-    lines = [_to_limits(line, span) for line in lines]
     records = [record(line.points, micro_flight) for line in lines]
     if flights:
         tables = (_longest_first(line.points, micro_flight) for line in lines)

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from contacts import attracting, rigid, soft
 
-from kernel.cycles.any_contact import both_ways, branches, branches_at, passing, repeats, up_to_shorter
+from kernel.cycles.any_contact import (
+    both_ways,
+    branches,
+    branches_at,
+    lies_on,
+    passing,
+    repeats,
+    up_to_shorter,
+)
 from kernel.cycles.changes import doubled
 from kernel.cycles.events import Kind
 from kernel.cycles.follow import LARGEST, RANGE, End, follow
@@ -109,6 +117,16 @@ def test_a_branch_passes_twice_beside_its_fold(above):
     assert beside.cycles.at(beside.x, fold - above) is None
 
 
+def test_a_cycle_on_the_limit_is_on_the_branch():
+    """And begins it, on whichever side of the limit rounding puts it."""
+    span = (RANGE[0], 2.0)
+    (line,) = branches(soft(), 0.60, 0.05, 1, span=span)
+    (end,) = passing(line, span[1])
+    assert lies_on(end, line)
+    for gamma in np.nextafter(2.0, [1.0, 3.0]).tolist():
+        assert len(both_ways(end.cycles.at(end.x, gamma), span, points=30).points) > 2
+
+
 def test_a_branch_that_goes_on_beyond_its_points_says_so():
     followed, whole = (branches(soft(), 0.60, 0.05, 1, points=points)[0] for points in (30, 300))
     assert {event.kind for event in followed.events if event.kind in set(End)} == {End.CUT_OFF, End.REST}
@@ -142,7 +160,7 @@ def test_a_branch_far_above_where_the_search_begins(omega):
     """From where its flights vanish to the end of the span."""
     (line,) = branches(soft(), omega, 0.05, 1)
     assert line.events[0].kind is End.REST
-    assert line.points[-1].parameter > 8.0
+    assert line.points[-1].parameter == pytest.approx(RANGE[1], abs=1e-12)
 
 
 def test_a_branch_at_small_gamma():
