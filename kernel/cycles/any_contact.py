@@ -63,15 +63,16 @@ def branches(
 def branches_at(
     plate: Any, cell: Cell, periods: int, along: str, span: tuple[float, float], *, points: int = POINTS
 ) -> list[Followed]:
-    """The branches along Omega or xi through the cycles of a cell.
+    """The branches along "omega" or "xi" within `span` through the cycles of a cell, as `cycles_at_cell`."""
+    cycles = (turned(point, along, cell.gamma) for point in cycles_at_cell(plate, cell, periods, points))
+    return all_through(cycles, span, points)
 
-    The cycles are those that the branches along Gamma have at the cell. along: "omega" or "xi", which varies
-    within `span`. Raises KernelInputError.
-    """
+
+def cycles_at_cell(plate: Any, cell: Cell, periods: int, points: int = POINTS) -> Iterator[Point]:
+    """The cycles that `branches` along Gamma have at a cell. Raises KernelInputError."""
     gamma, omega, xi = map(float, cell)
     lines = branches(plate, omega, xi, periods, span=(RANGE[0], max(gamma, RANGE[1])), points=points)
-    cycles = (turned(point, along, gamma) for line in lines for point in passing(line, gamma))
-    return all_through(cycles, span, points)
+    return (point for line in lines for point in passing(line, gamma))
 
 
 def turned(point: Point, along: str, gamma: float) -> Point:

@@ -18,7 +18,7 @@ from service.pictures import LINES, Figure
 from service.views import proofs, selection
 from service.views.variables import ENERGY, coordinate, dataset, row, variables
 from service.views.view import Estimate, FirstDirection, Number, Query, View
-from worker.analysis.cycles import cycle_near, cycle_with
+from worker.analysis.cycles import own_cycle
 from worker.basins.specification import MAX_HEIGHT, BasinSpec, MultistabilitySpec
 from worker.basins.starts import contact_states, drop_states
 from worker.spec.axes import LARGEST, NUMBER, SMALLEST, WHOLE, Strict, check_kind, kind_of
@@ -212,7 +212,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
     gamma, omega, xi = (np.array([value]) for value in cell)
     values: dict[str, Any] = {}
     if isinstance(spec.start, CyclePoint):
-        state, cycle = _on_cycle(spec.model, cell, spec.start)
+        cycle, state = _on_cycle(spec.model, cell, spec.start)
         values = {
             "cycle_bounces": cycle.bounces[0], "cycle_periods": cycle.periods,
             "cycle_flight_time": cycle.flight_time[0], "cycle_stable": cycle.stable[0],
@@ -357,20 +357,18 @@ def _direction(spec: SweepSpec, query: TrajectoryQuery) -> int:
     return spec.directions.index(selection.directions_of(spec, query.direction)[0])
 
 
-def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np.float64], Branch]:
-    """The state (6,) on a cycle, and the cycle: the contact's own with a flight time, else in closed form.
+def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[Branch, NDArray[np.float64]]:
+    """A cycle, and a state (6,) on it: the contact's own with a flight time, else in closed form.
 
     Raises InvalidRequest.
     """
     periods, time = point.periods, point.flight_time
     try:
-        own = None
-        if point.state is not None and isinstance(model, Rigid | Soft):
-            own = cycle_with(model, cell, periods, np.array(point.state))
-        if own is None and time is not None and model.has_own_cycles:
-            own = cycle_near(model, cell, periods, time)
-        if own is not None:
-            return own[1], own[0]
+        if isinstance(model, Rigid | Soft):
+            state = None if point.state is None else np.array(point.state)
+            own = own_cycle(model, cell, periods, state, time if model.has_own_cycles else None)
+            if own is not None:
+                return own
         start = start_on_stable_cycle(cell, periods) if time is None else start_on_cycle(cell, periods, time)
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error
@@ -378,7 +376,7 @@ def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[NDArray[np
         where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
         rule = f"there is no cycle (1, {periods}) at {where}" if time is not None else no_cycle(cell, periods)
         raise InvalidRequest.of("start", rule)
-    return start.start.state, start.cycle
+    return start.cycle, start.start.state
 
 
 def _check_ended(field: str, outcome: int) -> None:

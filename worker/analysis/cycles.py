@@ -10,10 +10,10 @@ from kernel.cycles.any_contact import (
     both_ways,
     branches,
     branches_at,
+    cycles_at_cell,
     event_record,
     is_doubled,
     lies_on,
-    passing,
     record,
     turned,
     up_to_shorter,
@@ -176,28 +176,20 @@ def follow_cells(
     return _recorded(own, span, POINTS, twice, flights=True, micro_flight=micro_flight, skipped=skipped)
 
 
-def cycle_with(contact: Contact, cell: Cell, periods: int, state: Floats) -> tuple[Branch, Floats] | None:
-    """The cycle of a contact through a state (6,) that branches have, as from `cycle_near`, or None."""
-    point = cycle_through(plate_at(contact, *cell), cell, periods, state)
-    return None if point is None else (record([point], MICRO_FLIGHT), point.state)
-
-
-def cycle_near(
-    contact: Contact, cell: Cell, periods: int, flight_time: float
+def own_cycle(
+    contact: Contact, cell: Cell, periods: int, state: Floats | None, flight_time: float | None
 ) -> tuple[Branch, Floats] | None:
-    """The cycle of a contact at a cell whose longest flight is nearest to flight_time, rad.
+    """The cycle of a contact at a cell, as a branch of one point, with the state (6,) at its beginning.
 
-    Returns it as a branch of one point, with the state (6,) at its beginning; None if the branches of
-    `follow_cycles` have no cycle there. Raises KernelInputError.
+    It goes through a state that branches have, or else its longest flight is nearest to flight_time, rad.
+    None if the branches of `follow_cycles` have no such cycle. Raises KernelInputError.
     """
     plate = plate_at(contact, *cell)
-    span = RANGE[0], max(RANGE[1], cell.gamma)
-    lines = branches(plate, float(cell.omega), float(cell.xi), periods, span=span)
-    points = [point for line in lines for point in passing(line, float(cell.gamma))]
-    if not points:
-        return None
-    point = min(points, key=lambda point: abs(max(point.flights) - flight_time))
-    return record([point], MICRO_FLIGHT), point.state
+    point = None if state is None else cycle_through(plate, cell, periods, state)
+    if point is None and flight_time is not None:
+        cycles = cycles_at_cell(plate, cell, periods)
+        point = min(cycles, key=lambda cycle: abs(max(cycle.flights) - flight_time), default=None)
+    return None if point is None else (record([point], MICRO_FLIGHT), point.state)
 
 
 class Settled(NamedTuple):
