@@ -14,7 +14,7 @@ import numpy as np
 
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
 from kernel.cycles.events import Branch, Events, Kind, branch, events_of, join_events
-from kernel.cycles.follow import POINTS, RANGE, ROUNDING, End, Event, Followed, ahead, follow, root
+from kernel.cycles.follow import POINTS, RANGE, ROUNDING, End, Event, Followed, ahead, follow, root, within
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
 from kernel.cycles.starts import (
@@ -95,7 +95,7 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
         return any(lies_on(point, line) for line in cut)
 
     for seed in cycles:
-        if not span[0] <= seed.parameter <= span[1]:
+        if not within(seed, span):
             outside.append(seed)
         elif not any(lies_on(seed, line) for line in followed):
             followed.append(both_ways(seed, span, points, joins))
@@ -103,21 +103,13 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
     for seed in outside:
         if any(lies_on(seed, way) for way in ways):
             continue
-        ways.append(_from_outside(seed, span, points))
+        reach = min(span[0], seed.parameter), max(span[1], seed.parameter)
+        way = span[0] - seed.parameter
+        ways.append(follow(seed, way, points=points, span=reach, until=lambda point: within(point, span)))
         first = ways[-1].points[-1]
-        inside = span[0] <= first.parameter <= span[1]
-        if inside and not any(lies_on(first, line) for line in followed):
+        if within(first, span) and not any(lies_on(first, line) for line in followed):
             followed.append(both_ways(first, span, points, joins))
     return followed
-
-
-def _from_outside(seed: Point, span: tuple[float, float], points: int) -> Followed:
-    """The branch through a cycle outside of `span`, up to the first cycle within, if there is one."""
-    reach = min(span[0], seed.parameter), max(span[1], seed.parameter)
-    return follow(
-        seed, span[0] - seed.parameter, points=points, span=reach,
-        until=lambda point: span[0] <= point.parameter <= span[1],
-    )  # fmt: skip
 
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:

@@ -119,7 +119,7 @@ def follow(
     events: list[Event] = []
 
     def leaves(cycle: Point) -> bool:
-        return not _within(cycle, span) or until(cycle)
+        return not within(cycle, span) or until(cycle)
 
     for _ in range(SIGNATURES):
         stretch = _walk(point, points - len(line), leaves, origin)
@@ -145,17 +145,17 @@ def follow(
 def _up_to_limit(line: list[Point], events: list[Event], span: tuple[float, float]) -> Followed:
     """A branch up to the limit of its parameter, with the cycle there, instead of a last point beyond."""
     *inside, last = line
-    if not inside or _within(last, span):
+    if not inside or within(last, span):
         return Followed(line, events)
     limit = float(np.clip(last.parameter, span[0] * (1.0 + ROUNDING), span[1] * (1.0 - ROUNDING)))
     near = root(inside[-1], _reach(inside[-1], last), lambda x: x.parameter - limit)
     edge = near and near.cycles.at(near.x, limit)
     edge = near and edge and admissible(edge.towards(near.tangent))
     inside += [] if edge is None else [edge]
-    return Followed(inside, [event for event in events if _within(event.point, span)])
+    return Followed(inside, [event for event in events if within(event.point, span)])
 
 
-def _within(cycle: Point, span: tuple[float, float]) -> bool:
+def within(cycle: Point, span: tuple[float, float]) -> bool:
     """Whether the parameter of a cycle has not left `span`."""
     return span[0] * (1.0 - ROUNDING) <= cycle.parameter <= span[1] * (1.0 + ROUNDING)
 
