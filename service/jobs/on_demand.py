@@ -9,10 +9,10 @@ import math
 import threading
 import time
 from collections import OrderedDict, deque
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import CancelledError, Future, InvalidStateError, wait
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, TypeAlias
 
@@ -53,11 +53,16 @@ class _Result:
     """The parts of a result, and the clients that ask for it."""
 
     parts: Sequence["Future[Any]"]
-    askers: dict[object, float]  # time of the last request, by connection
+    chunks: int  # chunks that were done when it was first asked for
+    askers: dict[object, float] = field(default_factory=dict)  # time of the last request, by connection
 
     @property
     def done(self) -> bool:
         return all(part.done() for part in self.parts)
+
+    def is_awaited(self, now: float) -> bool:
+        """Whether a client asked for it lately and has neither left nor received it."""
+        return any(asked >= now - ABANDONED_SECONDS for asked in self.askers.values())
 
     def cancel(self) -> None:
         for part in self.parts:
@@ -88,9 +93,11 @@ class OnDemandCache:
         self._look: threading.Timer | None = None
         self._closed = False
 
-    def get(self, key: Hashable, calls: Sequence[Sequence[Any]]) -> list[Any]:
+    def get(self, key: Hashable, calls: Sequence[Sequence[Any]], chunks: int = 0) -> list[Any]:
         """The results of `calls`, functions with their arguments, which are kept under `key`.
 
+        chunks: number of stored chunks that they can read. With more of them the calls are computed again,
+        unless a client waits for the results: else answers of a running job would begin again and again.
         Raises Pending after the time-out, Busy if too many results are being computed, NotComputed if no
         worker could compute them, and the errors of the calls.
         """
@@ -98,7 +105,7 @@ class OnDemandCache:
         self._workers = self._executor.state().workers
         if not self._workers:
             self._without_workers = time.monotonic()
-        result = self._asked(key, client.connection, calls)
+        result = self._asked(key, client.connection, calls, chunks)
         self._start()
         client.on_leave(partial(self._leave, key, client.connection))
         done, left = wait(result.parts, timeout=self._timeout)
@@ -114,6 +121,11 @@ class OnDemandCache:
                 raise NotComputed(f"no worker has computed it ({error}): repeat the request") from error
             raise
 
+    def note_delivered(self, keys: Iterable[Hashable]) -> None:
+        """Note that this client has the results under these keys and waits for them no more."""
+        for key in keys:
+            self._leave(key, asker().connection)
+
     def close(self) -> None:
         """Cancel results still being computed. No other begins, as the executor ends, too."""
         with self._lock:
@@ -122,21 +134,24 @@ class OnDemandCache:
         for result in results:
             result.cancel()
 
-    def _asked(self, key: Hashable, connection: object, calls: Sequence[Sequence[Any]]) -> _Result:
+    def _asked(
+        self, key: Hashable, connection: object, calls: Sequence[Sequence[Any]], chunks: int
+    ) -> _Result:
         """The result, a new one if none is kept, with the client among its askers. Raises Busy."""
         with self._lock:
-            if key not in self._results:
+            kept, now = self._results.get(key), time.monotonic()
+            if kept is None or (kept.chunks != chunks and kept.done and not kept.is_awaited(now)):
                 if sum(not result.done for result in self._results.values()) >= MAX_PENDING:
                     raise Busy(f"{MAX_PENDING} results are being computed already, which is the limit")
                 done = [other for other, result in self._results.items() if result.done]
                 for other in done[: max(len(self._results) + 1 - MAX_RESULTS, 0)]:
                     del self._results[other]
-                self._results[key] = _Result([Future() for _ in calls], {})
-                self._waiting.extend(zip(self._results[key].parts, calls, strict=True))
+                result = self._results[key] = _Result([Future() for _ in calls], chunks)
+                self._waiting.extend(zip(result.parts, calls, strict=True))
             self._results.move_to_end(key)
             result = self._results[key]
+            result.askers[connection] = now
             if not result.done:
-                result.askers[connection] = time.monotonic()
                 self._look_later()
             return result
 

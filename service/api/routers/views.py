@@ -167,17 +167,20 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
 
     Calls that read the store of a job are computed again once more chunks are done.
     """
-    results = []
+    results, keys = [], []
     for _, same in groupby(calls, itemgetter(0)):
         step = tuple(same)
         reads = study is not None and any(study.url in call for call in step)
-        key = (step, study.chunks_done if study is not None and reads else 0)
+        chunks = study.chunks_done if study is not None and reads else 0
+        keys.append((step, chunks if study is not None and study.complete else 0))
         try:
-            results += service.on_demand.get(key, step)
+            results += service.on_demand.get(keys[-1], step, chunks)
         except KernelInputError as error:
             raise InvalidRequest.of(error.argument, error.rule) from error
         except StoreMissing as error:  # lost, or deleted meanwhile
             raise StoreDamaged(str(error)) from error
+    if keys:
+        service.on_demand.note_delivered(keys)
     return results
 
 

@@ -87,6 +87,19 @@ def test_a_result_is_given_up_when_the_last_client_leaves():
     assert len(pool.futures) == 4
 
 
+def test_what_a_client_waits_for_is_not_computed_anew_with_more_chunks():
+    pool, cache = started()
+    with pytest.raises(Pending):
+        cache.get("key", [(print,)], chunks=1)
+    pool.futures[0].set_result("of one chunk")
+    assert cache.get("key", [(print,)], chunks=2) == ["of one chunk"]
+    assert cache.get("key", [(print,)], chunks=3) == ["of one chunk"]
+    cache.note_delivered(["key"])
+    with pytest.raises(Pending):
+        cache.get("key", [(print,)], chunks=3)
+    assert len(pool.futures) == 2
+
+
 @pytest.mark.parametrize(
     ("error", "raised"), [(WorkerDied("no memory"), NotComputed), (ValueError("a defect"), ValueError)]
 )
