@@ -32,6 +32,8 @@ ABANDONED_SECONDS: Final = 75.0
 SHARE: Final = 1 / 16
 #: Core-seconds of calls that may be computed beside jobs before the share applies: an audit of a sweep.
 CREDIT_SECONDS: Final = 20.0
+#: Seconds after the end of a call after which the first call of another result begins without credit.
+REST_SECONDS: Final = 10.0
 #: Seconds between two checks for abandoned results, and for calls whose turn has come.
 LOOK_SECONDS: Final = 0.2
 
@@ -44,8 +46,8 @@ class Pending(Exception):
         self.done, self.total = done, total
 
 
-#: A part of a result, and its call.
-_Part: TypeAlias = "tuple[Future[Any], Sequence[Any]]"
+#: A part of a result, its call, and the result.
+_Part: TypeAlias = "tuple[Future[Any], Sequence[Any], _Result]"
 
 
 @dataclass
@@ -54,6 +56,8 @@ class _Result:
 
     parts: Sequence["Future[Any]"]
     chunks: int  # chunks that were done when it was first asked for
+    turn: float  # time at which it was asked for first, or began to compute its last part
+    begun: bool = False
     askers: dict[object, float] = field(default_factory=dict)  # time of the last request, by connection
 
     @property
@@ -77,7 +81,8 @@ class OnDemandCache:
 
     At most half of the workers, at least one, compute calls, which an executor begins before the chunks of
     jobs. Beside jobs, calls use up a credit of CREDIT_SECONDS, which grows by SHARE of the workers' time.
-    Without credit the next call waits: otherwise endless calls would keep half of the workers.
+    Without credit the next call waits: otherwise endless calls would keep half of the workers. The first call
+    of a result waits at most REST_SECONDS after the end of another. Results take turns, call by call.
     """
 
     def __init__(
@@ -87,6 +92,7 @@ class OnDemandCache:
         self._lock = threading.Lock()
         self._results: OrderedDict[Hashable, _Result] = OrderedDict()
         self._waiting: deque[_Part] = deque()
+        self._ended = -math.inf  # when a call ended last
         self._workers = self._running = 0
         self._without_workers = -math.inf  # when there were none, the last time that somebody looked
         self._credit, self._credited = CREDIT_SECONDS, time.monotonic()
@@ -146,8 +152,10 @@ class OnDemandCache:
                 done = [other for other, result in self._results.items() if result.done]
                 for other in done[: max(len(self._results) + 1 - MAX_RESULTS, 0)]:
                     del self._results[other]
-                result = self._results[key] = _Result([Future() for _ in calls], chunks)
-                self._waiting.extend(zip(result.parts, calls, strict=True))
+                result = self._results[key] = _Result([Future() for _ in calls], chunks, now)
+                self._waiting.extend(
+                    (part, call, result) for part, call in zip(result.parts, calls, strict=True)
+                )
             self._results.move_to_end(key)
             result = self._results[key]
             result.askers[connection] = now
@@ -190,7 +198,7 @@ class OnDemandCache:
     def _start(self) -> None:
         """Begin the calls whose turn has come."""
         while (part := self._next()) is not None:
-            future, call = part
+            future, call, _ = part
             began = time.monotonic()
             try:
                 computed = self._executor.call(timed, *call)
@@ -205,17 +213,23 @@ class OnDemandCache:
     def _next(self) -> "_Part | None":
         """The next part; None if none may begin."""
         with self._lock:
-            while self._waiting and self._waiting[0][0].cancelled():
-                self._waiting.popleft()
+            self._waiting = deque(part for part in self._waiting if not part[0].cancelled())
             if self._closed or not self._waiting or self._running >= max(1, self._workers // 2):
                 return None
             now = time.monotonic()
             earned = SHARE * self._workers * (now - self._credited)
             self._credit, self._credited = min(self._credit + earned, CREDIT_SECONDS), now
+            may_begin = list(self._waiting)
             if self._credit <= 0.0 and self._jobs_compute():
+                rested = now >= self._ended + REST_SECONDS
+                may_begin = [part for part in may_begin if rested and not part[2].begun]
+            if not may_begin:
                 return None
+            part = min(may_begin, key=lambda part: part[2].turn)
+            self._waiting.remove(part)
+            part[2].begun, part[2].turn = True, now
             self._running += 1
-            return self._waiting.popleft()
+            return part
 
     def _on_computed(self, part: _Part, began: float, computed: "Future[Any]") -> None:
         self._end(part, began, computed)
@@ -223,17 +237,18 @@ class OnDemandCache:
 
     def _end(self, part: _Part, began: float, computed: "Future[Any]") -> None:
         """End a part with the result or the error of its call, or have it wait for another worker."""
-        future, _ = part
+        future, _, result = part
         error = CancelledError() if computed.cancelled() else computed.exception()
         value, seconds = None, time.monotonic() - max(began, self._without_workers)
         if not error:
             value, seconds = computed.result()
         with self._lock:
-            self._running -= 1
+            self._running, self._ended = self._running - 1, time.monotonic()
             if self._jobs_compute():  # a wait for workers or their chunks takes no time of theirs
                 self._credit -= seconds
             if isinstance(error, WorkerLeft):  # else the other parts would be lost with this one
                 self._waiting.appendleft(part)
+                result.begun = False
                 return
         with suppress(InvalidStateError):  # cancelled meanwhile
             if error:

@@ -32,12 +32,14 @@ class Pool:
 
     def __init__(self) -> None:
         self.futures: list[Call] = []
+        self.calls: list[tuple[Any, ...]] = []
         self.capacity = 8
 
     def state(self) -> ClusterState:
         return ClusterState(True, self.capacity)
 
-    def call(self, *_: Any) -> Future[Any]:
+    def call(self, *call: Any) -> Future[Any]:
+        self.calls.append(call)
         self.futures.append(Call())
         return self.futures[-1]
 
@@ -156,15 +158,16 @@ def test_without_workers_nothing_is_computed(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize(("workers", "share"), [(0, 1), (5, 2), (8, 4)])
-def test_jobs_keep_half_of_the_workers(workers: int, share: int):
+def test_jobs_keep_half_of_the_workers_and_results_take_turns(workers: int, share: int):
     pool, cache = started()
     pool.capacity = workers
-    pending(cache, "many", [(print,)] * 9)
-    pending(cache, "more", TWO)
+    pending(cache, "many", [(print, part) for part in range(9)])
+    pending(cache, "more", [(print, part) for part in (9, 10)])
     assert len(pool.futures) == share
     for number in range(11):
-        pool.futures[number].set_result(number)
+        pool.futures[number].set_result(pool.calls[number][-1])
         assert len(pool.futures) == min(number + 1 + share, 11)
+    assert [call[-1] for call in pool.calls[share : share + 4]] == [share, 9, share + 1, 10]
     assert cache.get("many", TWO) == list(range(9))
     assert cache.get("more", TWO) == [9, 10]
 
@@ -196,6 +199,31 @@ def test_beside_jobs_calls_keep_to_their_share(monkeypatch: pytest.MonkeyPatch):
     for number in range(8, 16):
         pool.futures[number].set_result(number)
     assert cache.get("many", TWO) == list(range(16))
+
+
+def test_after_a_long_call_another_result_soon_begins(monkeypatch: pytest.MonkeyPatch):
+    """As if calls had no share: neither the rest of the result goes on, nor a third one begins soon."""
+    now = [100.0]
+    monkeypatch.setattr(on_demand, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    for name, value in {"SHARE": 0.0, "REST_SECONDS": 10.0, "LOOK_SECONDS": 0.01}.items():
+        monkeypatch.setattr(on_demand, name, value)
+    pool, cache = started(jobs_compute=lambda: 1)
+    pool.capacity = 2
+    pending(cache, "long", TWO)
+    now[0] += 3600.0
+    pool.futures[0].set_result("long")
+    pending(cache, "short", [(print, "short")])
+    pending(cache, "third", [(print, "third")])
+    now[0] += 9.0
+    time.sleep(0.1)
+    assert len(pool.calls) == 1
+    now[0] += 2.0
+    wait_for(lambda: len(pool.calls) == 2)
+    pool.futures[1].set_result("short")
+    assert cache.get("short", []) == ["short"]
+    time.sleep(0.1)
+    assert [call[-1] for call in pool.calls] == [print, "short"]
+    cache.close()
 
 
 def test_a_call_that_waited_for_workers_or_their_chunks_delays_no_other(monkeypatch: pytest.MonkeyPatch):
