@@ -9,7 +9,7 @@ import json
 import posixpath
 import re
 from base64 import b64encode
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -108,15 +108,36 @@ def _lines(study: Stored[SweepSpec]) -> tuple[list[dict[str, Any]], str]:
     along, every, places = _places(spec)
     flights = spec.shape[0] * spec.keep * -(-len(spec.axis_values(along)) // every)
     step = -(-len(places) // min(MOST_LINES, max(MOST_IN_ALL // flights, 1)))
-    lines = []
-    for place in places[::step]:
-        query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **place})
-        lines.append(_answer(diagram.VIEW, study, query, **place))
-    while len(lines) > 1 and sum(len(line["data"]) for line in lines) > MOST_BYTES:
-        lines, step = lines[::2], 2 * step
+    places = places[::step]
+
+    def line_of(i: int) -> dict[str, Any]:
+        query = diagram.DiagramQuery.model_validate({"along": along, "every": every, **places[i]})
+        return _answer(diagram.VIEW, study, query, **places[i])
+
+    lines, apart = _fitting(len(places), line_of)
+    step *= apart
     thinned = [f"1 line in {step}" if step > 1 else "", f"1 cell in {every} of a line" if every > 1 else ""]
     omitted = " and ".join(filter(None, thinned))
     return lines, f"Diagrams: {omitted}" if omitted else ""
+
+
+def _fitting(count: int, line_of: Callable[[int], dict[str, Any]]) -> tuple[list[dict[str, Any]], int]:
+    """As many of `count` lines as MOST_BYTES allow, and their distance, a power of two.
+
+    From coarse to fine, as few lines as possible are computed in vain.
+    """
+    apart = 1 << (count - 1).bit_length()
+    lines = {0: line_of(0)}
+    size = len(lines[0]["data"])
+    while apart > 1:
+        finer = {}
+        for i in range(apart // 2, count, apart):
+            finer[i] = line_of(i)
+            size += len(finer[i]["data"])
+            if size > MOST_BYTES:
+                return [lines[i] for i in sorted(lines)], apart
+        lines, apart = lines | finer, apart // 2
+    return [lines[i] for i in sorted(lines)], apart
 
 
 def _places(spec: SweepSpec) -> tuple[str, int, list[dict[str, float]]]:

@@ -235,10 +235,12 @@ def test_a_store_that_is_not_adopted_says_why(
         assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
 
 
-def test_a_store_too_large_for_a_file_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_what_is_too_large_for_a_file_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sharing, "MOST_STORED", 1000)
+    monkeypatch.setattr("service.views.shared.MOST_BYTES", 6000)
     with computing(tmp_path) as client:
         page = client.get(f"{finished(client, RAMP)}/export?format=html").text
         assert "its numbers are too many to be imported" in page
+        assert "Diagrams: 1 line in 2. " in page
         answer = client.post("/v1/imports", content=page.encode(), headers=HTML)
         assert "holds only a part of its numbers" in answer.json()["detail"]
