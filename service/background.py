@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from contextvars import ContextVar
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -129,10 +130,17 @@ class Processes:
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
         finally:  # an answer that cannot be unpickled ends it, too: the pipe may hold the rest
             self._put_back(process, keep)
+            if client.left:
+                threading.Thread(target=self._start_again, daemon=True).start()
         if not succeeded:
             raise value
         result: Result = value
         return result
+
+    def _start_again(self) -> None:
+        """Start a process in place of one that was stopped: the next client need not wait for it."""
+        with suppress(EOFError, OSError):
+            self.start()
 
     def close(self) -> None:
         with self._changed:

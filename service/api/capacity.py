@@ -38,8 +38,8 @@ CLIENT_GONE: Final = 499
 MUCH: Final = 64 * 2**20
 
 #: Seconds that computing continues after the client has left: most answers finish by then, and ending one
-#: ends its process too.
-GRACE: Final = 1.0
+#: ends its process too, which beside jobs takes more to start again.
+GRACE: Final = 5.0
 
 #: Limits of a small read, of some hundredths of a second: bytes of its answer, bytes of the chunks that it
 #: decodes, and their number.

@@ -225,6 +225,7 @@ def test_what_is_computed_for_a_client_that_leaves_ends(tmp_path: Path, monkeypa
                 (busy,) = (psutil.Process(process._process.pid) for process in processes._started)
                 wait_for(lambda: sum(busy.cpu_times()[:2]) > 0.1)
             wait_for(lambda: leases.used == 0 and not busy.is_running())
+            wait_for(lambda: len(processes._idle) == 1)  # before another client asks
             assert processes.run(divmod, 17, 5) == (3, 2)
 
 
