@@ -150,7 +150,7 @@ class _Grown:
             if seconds > 2.0 * max(self._end - now, 5.0):
                 self._until = now + LINE_SECONDS
             self._end = now + seconds
-        return ", as later cells take longer" if now < self._until and time_left(job) else ""
+        return ", as other jobs or later cells take longer" if now < self._until and time_left(job) else ""
 
 
 def duration(seconds: float) -> str:

@@ -131,6 +131,11 @@ class ChunkTimes:
         self._began: float | None = None  # time of the first reports; before, kernels compile
         self._before = 0.0  # s that the chunks of the first reports took
 
+    @property
+    def mean(self) -> float:
+        """Mean seconds of the chunks done; by the table of costs without any."""
+        return self._by_table if self._began is None else float(np.nanmean(self._took))
+
     def note(self, reports: Sequence[ChunkReport], now: float) -> None:
         """Note the seconds that reported chunks took."""
         for report in reports:
@@ -218,6 +223,7 @@ class JobRun:
         by_table = prepared.cost.core_seconds / len(plan)
         self._times, self._by_table = ChunkTimes(plan, by_table), by_table
         self._began, self._to_come = time.monotonic(), self.queue.remaining  # at the start
+        self.delayed = 0.0  # s for which all workers computed jobs that come first
         self._tries: Counter[int] = Counter()
         self._collateral_losses: Counter[int] = Counter()
         self.unsaved_damage: set[int] = set()  # chunks to unmark: their stored end states are damaged
@@ -259,21 +265,27 @@ class JobRun:
         """Core-seconds of the remaining chunks."""
         return self.queue.remaining * self.chunk_seconds
 
-    def seconds_left(self, workers: int) -> float | None:
+    @property
+    def expected_seconds(self) -> float:
+        """Core-seconds of the remaining chunks, as long as those done, or by the cost table."""
+        return self.queue.remaining * self._times.mean
+
+    def seconds_left(self, workers: int, ahead: float = 0.0) -> float | None:
         """Estimated seconds until the job is done, with its unsaved reports.
 
+        ahead: core-seconds of the jobs that come first.
         Without a rate it is the rest of what the table of costs says, if few chunks follow each other on this
         number of workers, else None, as without workers.
         """
         now = time.monotonic()
-        self._times.note(self.unsaved_reports, now)
+        self._times.note(self.unsaved_reports, now - self.delayed)
         to_come = ~self.queue.done
         to_come[[report.index for report in self.unsaved_reports]] = False
         at_once = max(min(workers, self.prepared.plan.lines), 1)
         self._since = {chunk: self._since.get(chunk, now) for chunk in [*self.in_flight][:at_once]}
         elapsed = {chunk: now - since + 1e-3 * self._sliced[chunk] for chunk, since in self._since.items()}
-        if (left := self._times.left(to_come, now, at_once, elapsed)) is not None:
-            return left
+        if (left := self._times.left(to_come, now - self.delayed, at_once, elapsed)) is not None:
+            return left + ahead / max(workers, 1)
         in_a_row = -(-self._to_come // at_once)
         taken = now - self._began
         by_table = max(in_a_row * self._by_table - taken, taken * LEAST_LEFT)

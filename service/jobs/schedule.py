@@ -29,6 +29,11 @@ class Waiting:
     may_submit: ClassVar[bool] = True
     is_idle: ClassVar[bool] = False
 
+    @property
+    def expected_seconds(self) -> float:
+        """Core-seconds of the remaining chunks, as a `JobRun` has."""
+        return self.remaining_seconds
+
 
 Job: TypeAlias = "JobRun | Waiting"
 

@@ -15,7 +15,7 @@ from service.errors import LedgerUnavailable
 from service.jobs.prepare import JobPreparer, ModelChoices
 from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
 from service.jobs.run import ChunkMetrics, JobRun, text_of
-from service.jobs.schedule import Schedule, Waiting
+from service.jobs.schedule import Job, Schedule, Waiting, by_remaining_work
 from service.jobs.stores.deletion import remove_deleted, remove_if_deleted
 from service.jobs.stores.opening import report_unknown
 from service.jobs.stores.repair import Repair, repair
@@ -229,6 +229,9 @@ class Supervisor:
         else:
             seconds = min(run.chunk_seconds, self._schedule.rotation.slice_seconds)
         self._schedule.rotation.count(seconds, run.turns.pop(chunk, None))
+        for other in self._runs.values():
+            if by_remaining_work(run) < by_remaining_work(other):
+                other.delayed += seconds / max(self.cluster.workers, 1)
         del run.in_flight[chunk]
         if report is not None:
             run.unsaved_reports.append(report)
@@ -259,12 +262,18 @@ class Supervisor:
             if run.unsaved_reports:
                 store.sync_folders(run.prepared.store_url, run.prepared.layout)
             with self._ledger.writing() as ledger:
-                ledger.mark_done(run.job, run.unsaved_reports, run.seconds_left(self.cluster.workers))
+                ledger.mark_done(run.job, run.unsaved_reports, self._seconds_left(run))
                 ledger.note_paused(run.job, run.unsaved_seconds)
                 ledger.note_failures(run.job, run.unsaved_failures)
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
             run.queue.invalidate(unmarked)
+
+    def _seconds_left(self, run: JobRun) -> float | None:
+        """Estimated seconds until a job is done, after the jobs with less left to compute."""
+        others: list[Job] = [*self._runs.values(), *self._schedule.waiting.values()]
+        smaller = [other for other in others if by_remaining_work(other) < by_remaining_work(run)]
+        return run.seconds_left(self.cluster.workers, sum(other.expected_seconds for other in smaller))
 
     def _abandon(self, run: JobRun) -> None:
         """Cancel waiting chunks and have workers stop the others. The next start computes them."""
@@ -376,7 +385,7 @@ class Supervisor:
         with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
             current = ledger.unfinished_record(job)
             if current is not None:
-                ledger.run(current, time.time(), run.seconds_left(self.cluster.workers))
+                ledger.run(current, time.time(), self._seconds_left(run))
         if current is not None:
             self._runs[job_id] = run
             log.info("job %s is running, %d of %d chunks done", job_id, job.chunks_done, job.chunks_total)

@@ -75,4 +75,4 @@ def test_a_time_left_that_doubles_has_a_reason(
         for percent, left in ((10.0, 60.0), (20.0, 50.0), (30.0, 300.0)):
             show(status(percent=percent, progress={"eta_seconds": left}))
     lines = capsys.readouterr().err.splitlines()
-    assert [line.endswith("as later cells take longer") for line in lines] == [False, False, True]
+    assert [line.endswith("other jobs or later cells take longer") for line in lines] == [False, False, True]

@@ -1,12 +1,14 @@
 """What the chunks of a running job tell about the time that is left."""
 
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from tables import for_each
 
-from service.jobs.run import BY_TABLE, RECENT, ChunkTimes
+from service.jobs import run as module
+from service.jobs.run import BY_TABLE, RECENT, ChunkTimes, JobRun
 from worker.study import ChunkReport, Plan
 
 LINE = Plan((1, 1, 40), (1, 1, 10), ("up", "down"), 2)
@@ -67,3 +69,20 @@ def test_the_time_left_is_told_by_the_chunks_that_are_done(
     plan: Plan, took: list[float], now: float, given: dict[str, Any], left: float | None
 ):
     assert after(plan, took, now, **given) == (left and pytest.approx(left))
+
+
+def test_other_jobs_delay_a_job_but_do_not_slow_it_down(monkeypatch: pytest.MonkeyPatch):
+    now = [0.0]
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    cost = SimpleNamespace(core_seconds=12.0, upper_core_seconds=12.0)
+    job = SimpleNamespace(id="", seq=1, cancel_requested=False)
+    run = JobRun(
+        cast(Any, job), cast(Any, SimpleNamespace(plan=REST, cost=cost)), np.zeros(6, bool), cast(Any, None)
+    )
+    for chunk, at, delayed in ((0, 2.0, 0.0), (1, 4.0, 0.0), (2, 26.0, 20.0)):
+        now[0], run.delayed = at, delayed
+        run.unsaved_reports.append(ChunkReport(chunk, 10, 2.0, 2.0, ()))
+        left = run.seconds_left(1, ahead=30.0)
+        run.mark_saved()
+    assert left == 3 * 2.0 + 30.0
+    assert run.expected_seconds == 3 * 2.0
