@@ -22,7 +22,7 @@ from worker.kernel_cache import use_cache
 Result = TypeVar("Result")
 
 #: Added to the niceness of these processes: two of them take at most a quarter of two busy processors.
-NICER: Final = 5
+NICER: Final = 9
 #: A process that has grown by more bytes than this since its start ends after an answer, to return its
 #: memory. What answers of all kinds import takes 140 MB of it, and a new process seconds of a processor.
 MOST_GROWN: Final = 192 * 2**20

@@ -33,7 +33,7 @@ SHARE: Final = 1 / 16
 #: Core-seconds of calls that may be computed beside jobs before the share applies: an audit of a sweep.
 CREDIT_SECONDS: Final = 20.0
 #: Seconds after the end of a call after which the first call of another result begins without credit.
-REST_SECONDS: Final = 10.0
+REST_SECONDS: Final = 15.0
 #: Seconds between two checks for abandoned results, and for calls whose turn has come.
 LOOK_SECONDS: Final = 0.2
 
