@@ -253,7 +253,7 @@ class Supervisor:
         if action is Action.PAUSE:
             self._schedule.slots = 0
             if isinstance(error, store.UNREACHABLE):
-                self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
+                self._note_silent_bucket()
         run.apply(chunk, action, error, recompute_predecessor)
 
     def _save(self, run: JobRun) -> None:
@@ -268,6 +268,10 @@ class Supervisor:
                 unmarked = ledger.unmark(run.job, run.unsaved_damage) if run.unsaved_damage else []
             run.mark_saved()
             run.queue.invalidate(unmarked)
+
+    def _note_silent_bucket(self) -> None:
+        """Say that the bucket does not answer, until a sync can list its stores again."""
+        self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
 
     def _seconds_left(self, run: JobRun) -> float | None:
         """Estimated seconds until a job is done, after the jobs with less left to compute."""
@@ -318,7 +322,7 @@ class Supervisor:
         except store.UNREACHABLE as error:
             # the other stores are in the same bucket; the next sync tries again
             log.warning("the bucket of the stores does not answer: %s", error)
-            self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
+            self._note_silent_bucket()
         self._update_waiting(unfinished)
         if cluster.connected and not cluster.workers:  # none of these will begin
             for future in [x for run in self._runs.values() if run.stopped for x in run.in_flight.values()]:
@@ -454,7 +458,7 @@ class Supervisor:
         try:
             self._start_job(job_id)
         except store.UNREACHABLE:
-            self.unknown_stores, self.bucket_fault = None, SILENT_BUCKET
+            self._note_silent_bucket()
             self._schedule.waiting.clear()  # the other stores are in the same bucket: wait for the next sync
 
     def _send(self, run: JobRun, is_turn: bool) -> None:
