@@ -165,7 +165,8 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
 def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]) -> list[Any]:
     """The results of these calls. Those of one function are cached together, for every query that has them.
 
-    Calls that read the store of a job are computed again once more chunks are done.
+    Calls that read the store of a job are computed again once more chunks are done and no client waits for
+    them any more; those of a job that is done at once.
     """
     results, keys = [], []
     for _, same in groupby(calls, itemgetter(0)):
