@@ -1,16 +1,18 @@
 """Do audits hold the truth, what do they see, and does the choice of `auto` hold its bound?
 
-    python -m benchmarks.audit coverage power damage auto efforts [--side 40] [--draws 1000] [-o power.png]
+    python -m benchmarks.audit coverage levels power damage auto efforts [--side 40] [--draws 1000]
 
 Small sweeps are computed entirely in both ways: as a job does, and as an audit computes its cells again.
 Their audits are then drawn `--draws` times from these cells. `coverage`: sweeps of four kinds as computed,
 and with 0, .1, 1, 5 and 20 % of cells, thresholds and points made wrong at random; an interval holds if it
-has the true share with the undecided cells counted as right and as wrong. `power`: audits that see at least
-one of the faults planted in .5, 1, 2 and 5 % of the cells; -o draws it. `damage`: what one audit says of
-three sweeps done badly. `auto`: ten sweeps with every contact; the share of all cells beyond the tolerance
-against the bound that 120 random cells state, for each contact, and how often it is chosen. `efforts`: random
-cells, or lines of a ramp, of the paper's figures and of a map by each effort, against 3,000 plate periods of
-settling: the share with another outcome or mode, and core-microseconds per cell.
+has the true share with the undecided cells counted as right and as wrong. `levels`: the same of the levels
+that a budget computes of these sweeps, from coarse to fine, with their shares of cells and of the area that
+are wrong. `power`: audits that see at least one of the faults planted in .5, 1, 2 and 5 % of the cells; -o
+draws it. `damage`: what one audit says of three sweeps done badly. `auto`: ten sweeps with every contact; the
+share of all cells beyond the tolerance against the bound that 120 random cells state, for each contact, and
+how often it is chosen. `efforts`: random cells, or lines of a ramp, of the paper's figures and of a map by
+each effort, against 3,000 plate periods of settling: the share with another outcome or mode, and
+core-microseconds per cell.
 """
 
 import tempfile
@@ -33,6 +35,7 @@ from worker.analysis.audit import PARTS, SETS, SIZES, look
 from worker.analysis.model_selection import CELLS, ModelChoice, chosen, compared, timed
 from worker.spec.time_steps import Cells
 from worker.sweep import SweepSpec
+from worker.sweep.levels import WHOLE, Steps, coarsest, finest, level
 from worker.sweep.schema import MODE_ARRAYS
 from worker.sweep.specification import EFFORTS
 
@@ -43,6 +46,9 @@ PLANTED: Final = (0.005, 0.01, 0.02, 0.05)
 SAMPLES: Final = (20, 59, 100, 200, 400, 800)
 #: Twice the fewest points anywhere that are computed.
 POINTS: Final = 400
+#: The same where the share of the area is told level by level, and how many times finer a level is.
+AREA: Final = 4_000
+FINER: Final = 5
 #: Questions whose intervals are asked for, by the set of cells that they draw.
 ASKED: Final = {"mode": "numerics", "flights": "numerics", "threshold": "threshold", "area": "area"}
 
@@ -68,14 +74,16 @@ def sweeps(side: int) -> dict[str, dict[str, Any]]:
     }
 
 
-def census(spec: SweepSpec, submitted: SweepSpec | None = None) -> tuple[Stored[SweepSpec], Census]:
+def census(
+    spec: SweepSpec, submitted: SweepSpec | None = None, points: int = POINTS
+) -> tuple[Stored[SweepSpec], Census]:
     """A sweep computed, and every cell, threshold, and points anywhere, as an audit computes them again.
 
-    submitted: the specification whose contact is asked for in `model`.
+    submitted: the specification whose contact is asked for in `model`. points: twice the fewest.
     """
     study = Stored(spec, "", complete=True, submitted=submitted or spec)
     contact = None if submitted is None else submitted.model.exact
-    cells = max(int(np.prod(spec.shape)), POINTS)
+    cells = max(int(np.prod(spec.shape)), points)
     with tempfile.TemporaryDirectory() as folder, computed(spec, Path(folder), progress=False) as done:
         url = done.job.store_url
         with ThreadPoolExecutor(2) as threads:
@@ -128,21 +136,47 @@ def coverage(side: int, draws: int, cells: int) -> str:
     for kind, fields in sweeps(side).items():
         study, found = census(SweepSpec(**fields))
         random = np.random.default_rng(1)
-        rest = 1.0 - found["certified"] / found["cells"]
         for share in (None, *BANDS):
             made = found if share is None else planted(found, share, random)
             truth = answered(study, made)
-            held = dict.fromkeys(ASKED, 0)
-            for _ in range(draws):
-                said = answered(study, drawn(made, cells, random))
-                for name in ASKED:
-                    weight = rest if ASKED[name] == "numerics" else 1.0
-                    held[name] += _holds(said[name], truth[name], weight)
             name = f"{kind}, {'as computed' if share is None else f'{100 * share:g} %'}"
-            shares = (_percent(held[asked], draws, truth[asked]) for asked in ASKED)
-            rows.append([name, f"{100 * truth['mode'].share:.2g} %", *shares])
+            rows.append([name, _share(truth["mode"]), *_held(study, made, draws, cells, random)])
             print(rows[-1], flush=True)
     return table(["sweep", "cells wrong", *ASKED], rows)
+
+
+def budget_levels(side: int, draws: int, cells: int) -> str:
+    """The share of each level that is wrong, and of audits whose interval holds it."""
+    rows = []
+    for kind, fields in sweeps(side).items():
+        spec = SweepSpec(**fields)
+        steps: Steps | None = coarsest(spec)
+        while steps is not None:
+            part = level(spec, steps)
+            study, found = census(part, points=AREA)
+            truth = answered(study, found)
+            number = int(np.prod(part.shape))
+            wrong = (_share(truth[name]) for name in ("mode", "area"))
+            held = _held(study, found, draws, cells, np.random.default_rng(1))
+            rows.append([f"{kind}, {number:,} cells", *wrong, *held])
+            print(rows[-1], flush=True)
+            steps = None if steps == WHOLE else finest(spec, FINER * number, within=steps) or WHOLE
+    return table(["level", "cells wrong", "area wrong", *ASKED], rows)
+
+
+def _held(
+    study: Stored[SweepSpec], found: Census, draws: int, cells: int, random: np.random.Generator
+) -> list[str]:
+    """The share of audits whose interval holds the truth, by question."""
+    truth = answered(study, found)
+    rest = 1.0 - found["certified"] / found["cells"]
+    held = dict.fromkeys(ASKED, 0)
+    for _ in range(draws):
+        said = answered(study, drawn(found, cells, random))
+        for name in ASKED:
+            weight = rest if ASKED[name] == "numerics" else 1.0
+            held[name] += _holds(said[name], truth[name], weight)
+    return [f"{100 * held[name] / draws:.1f} %" if truth[name].sampled else "-" for name in ASKED]
 
 
 def _holds(said: Any, truth: Any, weight: float) -> bool:
@@ -156,8 +190,8 @@ def _holds(said: Any, truth: Any, weight: float) -> bool:
     return bool(said.low <= truth.share + 1e-12 and most - 1e-12 <= said.high)
 
 
-def _percent(held: int, draws: int, truth: Any) -> str:
-    return f"{100 * held / draws:.1f} %" if truth.sampled else "-"
+def _share(truth: Any) -> str:
+    return f"{100 * truth.share:.2g} %"
 
 
 def power(side: int, draws: int, output: str) -> str:
@@ -303,7 +337,7 @@ def main() -> None:
     """Run what is asked for."""
     asked = options(
         __doc__,
-        parts=["coverage", "power", "damage", "auto", "efforts"],
+        parts=["coverage", "levels", "power", "damage", "auto", "efforts"],
         side=40,
         draws=1_000,
         cells=200,
@@ -312,6 +346,8 @@ def main() -> None:
     print(describe())
     if "coverage" in asked.parts:
         print(coverage(asked.side, asked.draws, asked.cells))
+    if "levels" in asked.parts:
+        print(budget_levels(asked.side, asked.draws, asked.cells))
     if "power" in asked.parts:
         print(power(asked.side, asked.draws, asked.output))
     if "damage" in asked.parts:
