@@ -139,11 +139,11 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
     data = variables((*_QUESTION, _DEVIATION), by_question, against) | variables(_OF_SWEEP, of_sweep | listed)
     names = [outcome.name.lower() for outcome in Outcome]
     coords = {
-        "against": coordinate("against", list(answers) if both else "numerics"),
-        "question": coordinate("question", list(QUESTIONS)),
+        "against": coordinate("against", list(answers) if both else "numerics", long_name="judged against"),
+        "question": coordinate("question", list(QUESTIONS), long_name="question"),
         "coverage": coordinate("coverage", COVERAGES, long_name="share of all cells", units="1"),
-        "outcome": coordinate("outcome", names),
-        "true_outcome": coordinate("true_outcome", names),
+        "outcome": coordinate("outcome", names, long_name="outcome stored"),
+        "true_outcome": coordinate("true_outcome", names, long_name="outcome computed again"),
     }
     sentence = _sentence(answers, deviation, certified, tolerance)
     attrs = {"sentence": sentence, "seed": query.seed,

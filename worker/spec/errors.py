@@ -160,7 +160,9 @@ def rule_of(entry: Mapping[str, Any]) -> str:
     # a number of a query is text; in a specification, which is read strictly, text breaks a rule as text
     is_text = kind.endswith(("_type", "literal_error")) or not length or not is_number(str(value))
     shown = describe(value) if is_text else value
-    text = rule.format(value=shown, length=length, **context)
+    limits = {name: f"{limit:g}" if isinstance(limit, float) else limit for name, limit in context.items()}
+    limits |= {name: f"{limit:,}" for name, limit in context.items() if isinstance(limit, int)}
+    text = rule.format(value=shown, length=length, **limits)
     if kind == "literal_error":
         text += did_you_mean(value, context["expected"].split("'")[1::2])
     return text
@@ -200,8 +202,8 @@ _RULES: Final[dict[tuple[str, ...], str]] = {
     ("model_type",): "must be a group of fields, not {value}",
     ("finite_number",): "must be finite, not {value}",
     ("literal_error", "enum"): "must be {expected}, not {value}",
-    ("greater_than",): "must be above {gt:g}, not {value}",
-    ("greater_than_equal",): "must be at least {ge:g}, not {value}",
-    ("less_than",): "must be below {lt:g}, not {value}",
-    ("less_than_equal",): "must be at most {le:g}, not {value}",
+    ("greater_than",): "must be above {gt}, not {value}",
+    ("greater_than_equal",): "must be at least {ge}, not {value}",
+    ("less_than",): "must be below {lt}, not {value}",
+    ("less_than_equal",): "must be at most {le}, not {value}",
 }
