@@ -253,7 +253,7 @@ def test_other_contacts_have_basins(tmp_path: Path, kind: str):
         ({"exponents": 4}, "exponents: must be at most 3"),
         ({"settle_until": 10}, "settle_until: must be at least settle + 2 × observe, "),
         (SEVERAL | {"rows": 64, "columns": 32}, "protocol.rows: must be at most 32 with 32 columns"),
-        (SEVERAL | {"rows": 1, "columns": 1025}, "protocol.columns: must be at most 1024, not 1025"),
+        (SEVERAL | {"rows": 1, "columns": 1025}, "protocol.columns: must be at most 1,024, not 1025"),
         (SEVERAL | {"plane": "contact"}, "protocol.plane: must be 'drop'"),
         (SEVERAL | {"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
         (SEVERAL | {"exponents": 1}, "exponents: is not a field here"),

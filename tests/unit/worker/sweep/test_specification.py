@@ -66,7 +66,7 @@ AXIS_RULES = [
     (range_(num=2.5), "gamma.num: must be a whole number: 2 or 3, not 2.5"),
     (range_(num=0.5), "gamma.num: must be a whole number: 1, not 0.5"),
     (range_(num=-2.5), "gamma.num: must be a whole number, not -2.5"),
-    (range_(num=10**5000), "gamma.num: must be at most 100000, not a whole number of about 5000 digits"),
+    (range_(num=10**5000), "gamma.num: must be at most 100,000, not a whole number of about 5000 digits"),
     (range_(start=2.0, stop=1.0), "gamma.start: must not be above stop: swap the two; "),
     (range_(start=1.0, stop=1.0, num=2), "gamma.num: must be 1 where start equals stop"),
     (range_(num=1), "gamma.num: must be at least 2 to reach from start to stop"),
