@@ -121,9 +121,8 @@ def compute(
     data = with_flights(cycles.branches)
     if query.along != "gamma":
         data |= padded((query.along,), cycles.branches)
-    data |= event_columns(join_events(cycles.events))
-    on = np.repeat(np.arange(len(cycles.events)), [len(events.gamma) for events in cycles.events])
-    data |= columns("event", {"branch": on})
+    places = [(events.gamma, events.flight_time) for events in cycles.events]
+    data |= event_columns(join_events(cycles.events)) | pieces_below(cycles.branches, places, np.inf)[1]
     skipped = [{query.along: getattr(x.cell, query.along), **x._asdict()} for x in cycles.skipped]
     data |= columns("skipped", {name: [x[name] for x in skipped] for name in (query.along, *_OF_SKIPPED)})
     coords = of_branches(cycles.branches)

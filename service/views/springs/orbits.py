@@ -144,7 +144,7 @@ def compute(
         else:
             branches.append(_finer(*part, query) if query.has_window else part[0])
             events.append(part[1])
-    top = max(query.gamma_max, query.gamma or 0.0)
+    top = query.gamma_max if plate is None else np.inf  # followed branches end there, or are of one gamma
     kept = [rows_of(each, each.gamma <= top) for each in events]
     pieces, on = pieces_below(branches, [(x.gamma, x.flight_time) for x in kept], top)
     data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)

@@ -67,6 +67,8 @@ def test_a_branch_along_another_parameter(python_client: Client):
     assert turn == pytest.approx(0.661091706414, abs=1e-9)
     assert answer.omega.dims == answer.gamma.dims
     assert np.nanmax(answer.omega) == pytest.approx(turn, abs=1e-3)
+    on_limit = python_client.orbits(0.6, 0.05, **query, gamma_max=0.6, progress=False)
+    xarray.testing.assert_identical(on_limit.drop_attrs(), answer.drop_attrs())
     figure = Figure()
     orbits_view.draw(answer, figure)
     assert figure.axes[0].get_xlabel() == AXES["omega"]
