@@ -86,25 +86,20 @@ class FollowedCycles(NamedTuple):
 
 
 def follow_cycles(
-    contact: Contact, omega: float, xi: float, periods: int, gamma_max: float, points: int, twice: bool
-) -> FollowedCycles:
-    """The branches from the cycles (1, periods) up to `gamma_max`, at most `points` each way.
-
-    twice: with the branches of twice the period, and with all flights of each cycle. Runs on workers, which
-    compile for it. Raises KernelInputError.
-    """
-    span = RANGE[0], gamma_max
-    plate = plate_at(contact, gamma_max, omega, xi)
-    lines = branches(plate, omega, xi, periods, span=span, points=points)
-    return _recorded(lines, span, points, twice, flights=twice)
-
-
-def follow_along(
     contact: Contact, cell: Cell, periods: int, along: str, span: tuple[float, float], points: int,
     twice: bool,
 ) -> FollowedCycles:  # fmt: skip
-    """The branches along "omega" or "xi" within `span` through the cycles of a cell, as `follow_cycles`."""
-    lines = branches_at(plate_at(contact, *cell), cell, periods, along, span, points=points)
+    """The branches along an axis within `span` from the cycles (1, periods), at most `points` each way.
+
+    Those along "omega" or "xi" pass through the cycles of the cell. twice: with the branches of twice the
+    period, and with all flights of each cycle. Runs on workers, which compile for it. Raises
+    KernelInputError.
+    """
+    plate = plate_at(contact, *cell)
+    if along == "gamma":
+        lines = branches(plate, cell.omega, cell.xi, periods, span=span, points=points)
+    else:
+        lines = branches_at(plate, cell, periods, along, span, points=points)
     return _recorded(lines, span, points, twice, flights=twice)
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from kernel.cycles.energy import energy
 from kernel.cycles.events import Branch, Events, Kind, branch, branch_and_events, join_events, rows_of
+from kernel.cycles.follow import RANGE
 from kernel.params import Cell
 from service.errors import InvalidRequest
 from service.pictures import IDEAL, Figure, draw_cycles
@@ -40,7 +41,7 @@ from service.views.springs.queries import (
 )
 from service.views.variables import coordinate
 from service.views.view import AT_ONCE_SECONDS, SMALL_SECONDS, Call, Estimate, Number, Omega, View, Xi
-from worker.analysis.cycles import CYCLE_SECONDS, FollowedCycles, follow_along, follow_cycles
+from worker.analysis.cycles import CYCLE_SECONDS, FollowedCycles, follow_cycles
 from worker.analysis.prediction import branch_seconds
 from worker.orbits.specification import MAX_POINTS
 
@@ -95,15 +96,11 @@ def parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     plate, grids = query.contact(), _grids(query)
     if plate is None:
         return [(branch_and_events, *grid) for grid in grids] if _seconds(query) > AT_ONCE_SECONDS else []
-    if query.gamma is None:
-        top = query.gamma_max
-        return [(follow_cycles, plate, *spring, top, points, query.doubled) for *spring, points in grids]
-    cell, value = Cell(query.gamma, query.omega, query.xi), getattr(query, query.along)
-    span = 0.5 * value, 2.0 * value
-    return [
-        (follow_along, plate, cell, periods, query.along, span, points, query.doubled)
-        for _, _, periods, points in grids
-    ]
+    cell = Cell(query.gamma or query.gamma_max, query.omega, query.xi)
+    value = getattr(cell, query.along)
+    span = (RANGE[0], value) if query.gamma is None else (0.5 * value, 2.0 * value)
+    modes = parse_modes(query.modes)
+    return [(follow_cycles, plate, cell, k, query.along, span, query.points, query.doubled) for k in modes]
 
 
 def _seconds(query: OrbitsQuery) -> float:
