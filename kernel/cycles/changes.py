@@ -121,7 +121,7 @@ def _first(edit: _Edit, goes_back: Callable[[Point], bool] = lambda _: False) ->
                 nearer = _aside(edit, way, 0.1 * step)
                 if nearer is None or _away(edit, nearer) > _SHRINKS * away:
                     continue
-            point = admissible(point.towards(way))
+            point = admissible(point)
             if point is not None and not goes_back(point):
                 return point
     return None
@@ -280,7 +280,7 @@ def over_small_segment(last: Point, before: Point | None) -> Point | None:
         way = np.zeros(len(x))
         way[:START] = start / size
         point = cycles.newton(x, way)
-        point = None if point is None else admissible(point.towards(way))
+        point = point and admissible(point)
         if point is not None and np.linalg.norm(point.x[:START] - last.x[:START]) < 5.0 * step + 1e-6:
             return point
     return None

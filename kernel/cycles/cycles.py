@@ -262,8 +262,7 @@ def _recounted(point: Point, first: int) -> Point | None:
     rest = START + len(point.letters)
     way = np.concatenate([point.tangent[:START], np.zeros(len(cycles.letters)), point.tangent[rest:]])
     way /= math.sqrt(way @ way)
-    solved = cycles.newton(np.concatenate([start, point.x[rest:]]), way)
-    return None if solved is None else solved.towards(way)
+    return cycles.newton(np.concatenate([start, point.x[rest:]]), way)
 
 
 def _broken_within(point: Point) -> Broken | None:

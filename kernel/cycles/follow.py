@@ -195,9 +195,7 @@ def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Po
             step *= 0.5
             continue
         solution = point
-        broken = Broken("vanishes", int(np.argmin(point.times))) if (point.times <= 0.0).any() else None
-        if broken is None:
-            point, broken = confirmed(point)
+        point, broken = confirmed(point)
         if broken is not None:
             if step <= _NEAR:
                 return _Stretch(line, broken, solution if len(solution.x) == len(point.x) else point, step)
@@ -284,8 +282,7 @@ def _reach(a: Point, b: Point) -> float:
 def ahead(node: Point, reach: float) -> Point | None:
     """The solution at this distance along the tangent, or None."""
     goal = float(node.tangent @ node.x) + reach
-    point = node.cycles.newton(node.x + reach * node.tangent, node.tangent, goal)
-    return None if point is None else point.towards(node.tangent)
+    return node.cycles.newton(node.x + reach * node.tangent, node.tangent, goal)
 
 
 def root(node: Point, reach: float, function: Callable[[Point], float]) -> Point | None:
