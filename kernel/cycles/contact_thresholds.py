@@ -30,12 +30,10 @@ _ABOVE: Final = (1e-3, 1e-2)
 _NEAR: Final = 0.01
 
 
-def thresholds_of(
-    plate: Any, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
-) -> Thresholds:
+def thresholds_of(plate: Any, omega: float, xi: float, cycles: Sequence[Point] = ()) -> Thresholds:
     """The thresholds of a spring on a plate of one cell, restitution < 1; `not searched` below SEARCHED_XI.
 
-    cycles, bouncing: as in `thresholds.conjecture`. Raises KernelInputError.
+    cycles: as in `thresholds.conjecture`. Raises KernelInputError.
     """
     gamma_th = rest_ends(plate, omega, xi)
     answer = Thresholds(omega, xi, gamma_th)
@@ -65,7 +63,7 @@ def thresholds_of(
         folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]
         lowest = (point for line in lines for point in lowest_stable(line))
         ends += [descend(point) for point in lowest if point.parameter < gamma_th]
-    return where_searched(lowest_end(answer, folds, ends, bouncing))
+    return where_searched(lowest_end(answer, folds, ends))
 
 
 def rest_ends(plate: Any, omega: float, xi: float) -> float:

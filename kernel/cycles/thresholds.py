@@ -60,12 +60,15 @@ class Thresholds(NamedTuple):
     reason: str = ""  # why it is not decided
     fold: Fold | None = None  # at `down`
 
+    def contradicted(self, bouncing: float) -> "Thresholds":
+        """The same, unresolved: a simulation bounces at this Gamma below `down`."""
+        reason = f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed"
+        return self._replace(down=math.nan, cause=UNRESOLVED, reason=reason, fold=None)
 
-def thresholds(
-    omega: float, xi: float, cycles: Sequence["Point"] = (), bouncing: float = math.inf
-) -> Thresholds:
+
+def thresholds(omega: float, xi: float, cycles: Sequence["Point"] = ()) -> Thresholds:
     """The thresholds by `conjecture`, `not searched` below SEARCHED_XI. Raises KernelInputError."""
-    return where_searched(conjecture(omega, xi, cycles, bouncing))
+    return where_searched(conjecture(omega, xi, cycles))
 
 
 def where_searched(answer: Thresholds) -> Thresholds:
@@ -81,13 +84,10 @@ def where_searched(answer: Thresholds) -> Thresholds:
     return answer._replace(down=math.nan, cause=NOT_SEARCHED, reason=reason, fold=None)
 
 
-def conjecture(
-    omega: float, xi: float, cycles: Sequence["Point"] = (), bouncing: float = math.inf
-) -> Thresholds:
+def conjecture(omega: float, xi: float, cycles: Sequence["Point"] = ()) -> Thresholds:
     """The thresholds by the rule at any damping, from the branches (1,1) to (1, PERIODS).
 
-    cycles: stable cycles of settled cells of this spring; each is followed down, too. bouncing: the lowest
-    Gamma at which a simulation bounces; below the answer it contradicts the answer. A fold below the answer
+    cycles: stable cycles of settled cells of this spring; each is followed down, too. A fold below the answer
     that is unstable or not admissible leaves it unresolved, whatever the cycles: they do not show what lives
     near such a fold. Raises KernelInputError.
     """
@@ -105,15 +105,13 @@ def conjecture(
         for cycle, end in zip(last, ends, strict=True):
             folds = [fold for fold in folds if end.fold is None or not cycle.leads_to(fold)]
         ends += map(descent.descend, cycles)
-    return lowest_end(Thresholds(omega, xi, gamma_th, rule.jump), folds, ends, bouncing)
+    return lowest_end(Thresholds(omega, xi, gamma_th, rule.jump), folds, ends)
 
 
-def lowest_end(
-    answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"], bouncing: float
-) -> Thresholds:
+def lowest_end(answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"]) -> Thresholds:
     """The answer with the lowest Gamma at which a cycle ends, or with the reasons why that is undecided.
 
-    ends: of cycles that were followed. bouncing: the lowest Gamma at which a simulation bounces.
+    ends: of cycles that were followed.
     """
     last = [*(fold for fold in folds if fold.holds), *(end.fold for end in ends if end.fold is not None)]
     below = [fold for fold in last if fold.gamma < answer.gamma_th]
@@ -121,8 +119,6 @@ def lowest_end(
     down = answer.gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
     reasons += [_why(fold) for fold in folds if not fold.holds and fold.gamma < down]
-    if bouncing < down:
-        reasons.append(f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed")
     if reasons:
         return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
     return answer._replace(down=down, cause=EQ_25 if lowest is None else lowest.name, fold=lowest)

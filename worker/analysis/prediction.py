@@ -133,19 +133,17 @@ def predict_from_cells(
                 fold, window = answer.fold, sum(spec.window)
                 # just below a fold bouncing lasts longer than a window
                 if below > 0.0 and (fold is None or lifetime(fold, below) <= window):
-                    answer = of_contact(spec.model, at_omega, at_xi, cycles, bouncing)
+                    answer = answer.contradicted(bouncing)
         answers.append(answer)
     return answers
 
 
-def of_contact(
-    contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = (), bouncing: float = math.inf
-) -> Thresholds:
-    """The thresholds of a contact; cycles, bouncing: as in `kernel.cycles.thresholds.conjecture`."""
+def of_contact(contact: Contact, omega: float, xi: float, cycles: Sequence[Point] = ()) -> Thresholds:
+    """The thresholds of a contact; cycles: as in `kernel.cycles.thresholds.conjecture`."""
     try:
         if not is_ideal(contact):
-            return thresholds_of(plate_at(contact, 1.0, omega, xi), omega, xi, cycles, bouncing)
+            return thresholds_of(plate_at(contact, 1.0, omega, xi), omega, xi, cycles)
         with np.errstate(all="ignore"):  # an undamped spring may have poles
-            return thresholds(omega, xi, cycles, bouncing)
+            return thresholds(omega, xi, cycles)
     except KernelInputError as error:
         return Thresholds(omega, xi, float(threshold(omega, xi)), reason=str(error))

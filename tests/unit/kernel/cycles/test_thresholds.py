@@ -116,11 +116,11 @@ def test_cycles_of_settled_cells():
     start = start_on_stable_cycle(Cell(2.4, 1.26, 0.05), 2).start
     line, _ = follow(cycle_at(*start.cell, 2, start.state), -1.0)
     cycle = next(point for point in line if "z" in point.letters)
-    found = thresholds(1.26, 0.05, cycles=[cycle], bouncing=reference["gamma"])
+    found = thresholds(1.26, 0.05, cycles=[cycle])
     assert found.cause == "fold of word zs (2,2)"
     assert found.down == pytest.approx(reference["fold"], abs=1e-9)
-    lower = thresholds(1.26, 0.05, cycles=[cycle], bouncing=2.2)
-    assert lower.cause == UNRESOLVED
+    lower = found.contradicted(2.2)
+    assert (lower.cause, lower.fold) == (UNRESOLVED, None)
     assert "2.200000" in lower.reason
 
 
