@@ -405,7 +405,7 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
         letter, before, place = letters[i], letters[i - 1], START + i
         t = u[place] if u[place] != 0.0 else _SHORTEST
         total += u[place]
-        _copy(x, starts, i)
+        _put(starts, i, _get(x, 0))
         power = root_power(spring, letter, before)
         gap2 = _gap2(spring, _get(x, 0)) if power == 3 else 0.0  # taken as zero by `move`
         move(spring, letter, before, t, x[: 1 + place])  # nothing depends on later durations yet
@@ -420,7 +420,7 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
         slope[i, place] -= power * value[i] / t
         rates[i] = event(spring, letter, now)
         forces[i] = reset(spring, letter, x[: 2 + place])
-    _copy(x, starts, n)
+    _put(starts, n, _get(x, 0))
     for i in range(3):
         value[n + i] = x[0, 1 + i] - u[i]
         for j in range(m):
@@ -430,13 +430,6 @@ def go_round(plate: Any, omega: float, xi: float, letters: Any, periods: int, u:
     for j in range(m):
         slope[m - 2, j] = 0.0 if j < START else 1.0
     return Round(value, slope, starts, rates, forces)
-
-
-@jit
-def _copy(x: Any, starts: Any, i: int) -> None:
-    """Write the motion of x (1, 7) to the i-th of `starts` (n, 7)."""
-    for j in range(7):
-        starts[i, j] = x[0, j]
 
 
 @allocating
