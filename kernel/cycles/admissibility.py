@@ -188,8 +188,6 @@ def deepest(
         rows, others = _near_end(k, terms, weights, offset, end, end_slope, nodes[before], soft)
         row, turns = np.concatenate([row, rows]), np.hstack([turns, others])
     time, depth = np.full(len(end), np.nan), np.full(len(end), np.inf)
-    if not len(row):
-        return Condition(negative, time, depth)
     left, right, u, v, slope_left, slope_right = turns
     width = right - left
     part, low = cubic_extremum(u, v, slope_left * width, slope_right * width, 1.0)
