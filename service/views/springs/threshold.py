@@ -102,9 +102,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     gamma, what = np.nan, ""
     if search is not None:
         data["missed"] = search.missed
-        gamma, what = (
-            (search.gamma, search.what) if np.isfinite(search.gamma) else (thresholds.gamma_th, EQ_25)
-        )
+        gamma, what = (search.gamma, search.what) if search.what else (thresholds.gamma_th, EQ_25)
     if search is not None and not gamma > thresholds.down * _SAME_END:
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
         data |= {row.name: getattr(search, row.name) for row in _OF_SEARCH}
