@@ -10,8 +10,7 @@ const SPEEDS = [1, 0.5, 0.25, 0.1];
 const RADIUS = 11; // of a mass, px
 const COILS = 9;
 const MARGIN = 0.06; // of the height range, above and below
-const MIN_LENGTH = 2; // plate amplitudes
-const MAX_LENGTH = 6;
+const LENGTH = 6; // of the spring at rest, plate amplitudes
 export const periodsOf = ({ phase }) => Math.round(phase.at(-1) / TWO_PI);
 
 export class Player {
@@ -116,20 +115,13 @@ function drawSpring(ctx, x, from, to, colours) {
 function heightsOf(trajectory) {
   const { phase, plate, z1, z2: lower, in_flight: inFlight, rest_length: rest } = trajectory;
   const isBall = trajectory.model === "ball";
-  const length = isBall ? 0 : drawnLength(trajectory);
+  const compression = -Math.min(...z1.map((height, i) => height - rest - lower[i]).filter(Number.isFinite));
+  const length = isBall ? 0 : Math.max(LENGTH, 1 + 1.3 * compression); // the motion does not depend on it; its ends do not cross
   const upper = isBall ? lower : z1.map((height) => height - rest + length);
   const values = [...plate, ...lower, ...upper].filter(Number.isFinite);
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const margin = MARGIN * (high - low) + 0.4;
   return { isBall, phase, periods: periodsOf(trajectory), plate, lower, upper, inFlight, low: low - margin, high: high + margin };
-}
-
-/** The length the spring is drawn with. The dynamics do not depend on the rest length, so it is the one of the
- * trajectory where that can be seen, and long enough for the ends not to cross. */
-function drawnLength({ z1, z2, rest_length: rest }) {
-  const maxCompression = -Math.min(...z1.map((value, i) => value - rest - z2[i]).filter(Number.isFinite));
-  const minLength = Math.max(MIN_LENGTH, 1 + 1.3 * maxCompression);
-  return clamp(rest, minLength, Math.max(minLength, MAX_LENGTH));
 }
 
 function contentOf(heights, current) {
