@@ -22,7 +22,7 @@ export class Player {
   constructor(signal) {
     this.canvas = h("canvas", { className: "animation", role: "img", "aria-label": "Animation of the masses, the spring and the plate" });
     const figure = h("figure", { className: "heights" });
-    this.button = h("button", { type: "button", disabled: true, onclick: () => this.play(!this.playing) }, "Play"); // enabled by show()
+    this.button = h("button", { type: "button", onclick: () => this.play(!this.playing) });
     this.position = h("input", {
       type: "range", min: 0, max: 1, step: 0.005, value: 0, "aria-label": "Plate periods since the first sample",
       oninput: () => {
@@ -46,7 +46,6 @@ export class Player {
     this.heights = heightsOf(trajectory);
     this.position.max = String(this.heights.periods);
     this.phase %= this.heights.periods * TWO_PI;
-    this.button.disabled = false;
     this.plot.draw();
     this.play(this.playing);
   }
