@@ -100,10 +100,8 @@ export class JobView {
     if (error.status >= 500) this.#pollAfter(ERROR_POLL_MS, redraw);
     if (error.status !== 404) return;
     this.#pollAfter(IDLE_POLL_MS); // it may be submitted or imported again
+    if (this.job) return location.reload(); // deleted meanwhile: nothing of it stays
     if (!this.panel.isConnected) return;
-    this.leaving?.abort();
-    this.trajectory.hide();
-    [this.job, this.cell] = [null, null];
     document.getElementById("bar").replaceChildren();
     document.title = "No such sweep · Bouncing spring";
     this.root.replaceChildren(h("h1", { tabindex: "-1" }, "No such sweep"), this.problem.element);
