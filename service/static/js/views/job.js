@@ -30,19 +30,15 @@ export class JobView {
   constructor(root, { path }, signal) {
     Object.assign(this, { root, signal, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
-    const failed = (error) => { // where the sweep was deleted meanwhile, the page says so
-      if (error.status === 404) this.refresh(false);
-      else this.problem.show(error);
-    };
-    this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => navigate([]), error: failed });
+    this.problem = problemLine();
+    this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => navigate([]), error: this.problem.show });
     this.settling = h("p", { className: "notice settling" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
-    this.problem = problemLine();
     const ask = async () => {
       const name = prompt("Name of the sweep", this.job.name);
       if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
     };
-    const rename = workButton("✎", ask, failed, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
+    const rename = workButton("✎", ask, this.problem.show, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
     const duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     const { progress, actions, about, notice } = this.summary;
     const [bar, line] = [[this.heading, progress, h("div", { className: "actions" }, duplicate, rename, actions)], [about, notice, this.settling, this.problem.element]];
@@ -140,7 +136,7 @@ export class JobView {
     this.#describe(); // the problem of another tab is over
     const [, View] = tabs[current];
     const signal = AbortSignal.any([this.signal, this.leaving.signal]);
-    const common = { sources: [sourceOf(this.job)], signal, onSelect: (cell) => this.#select(cell), selected: () => this.cell, onMissing: () => this.refresh(false) };
+    const common = { sources: [sourceOf(this.job)], signal, onSelect: (cell) => this.#select(cell), selected: () => this.cell };
     const isBeside = current === "modes" && WIDE.matches; // the diagram at the Ω under the pointer
     this.secondPanel.hidden = !isBeside;
     this.beside = isBeside ? new Diagram(this.secondPanel, { ...common, isBeside, isFollower: true }) : null;

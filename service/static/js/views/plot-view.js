@@ -77,13 +77,12 @@ export class PlotView {
 
   /** `signal` aborts when the view is left. `bar`: where the controls are shown, if not above the plot; `isBeside`: beside
    * a map, whose window it has along Γ. `selected()`: the cell whose trajectory is shown; `onSelect(cell, job)`: one is
-   * pressed; `onMissing()`: the service has no such job. Of compared views, the sliders of the first move the others,
-   * which follow; `compared`, `grid` and `extent()` are the sources, values and window of all; titles begin with
-   * `prefix`; `onPoint(view, x, y)` is told where the pointer is, `onLoad(view)` that there are data. */
+   * pressed. Of compared views, the first moves the others, which follow; `compared`, `grid` and `extent()` are those of
+   * all; titles begin with `prefix`; `onPoint(view, x, y)`: the pointer is there, `onLoad(view)`: there are data. */
   constructor({ sources, ...options }) {
     const [source] = sources;
     const single = { compared: sources, grid: source.grid, extent: () => this.whole(), isFollower: false, prefix: "" };
-    const handlers = { selected: () => null, onPoint: () => {}, onLoad: () => {}, onMissing: () => {} };
+    const handlers = { selected: () => null, onPoint: () => {}, onLoad: () => {} };
     Object.assign(this, { sources, source, job: source.job, directions: source.directions, isCompared: sources.length > 1 }, single, handlers, options);
   }
 
@@ -277,7 +276,6 @@ export class PlotView {
     this.problem.show(error);
     this.plot.element.hidden = this.readout.hidden = Boolean(error) && !this.isLoaded;
     if (error?.status === 503) this.timer = setTimeout(() => this.load(), RETRY_MS);
-    else if (error?.status === 404) this.onMissing();
     else if (error && !error.status) throw error;
   }
 
