@@ -29,7 +29,6 @@ export class Compare {
     this.refresh();
   }
 
-  /** Again each second while cells are computed. */
   async refresh(redraw = true) {
     clearTimeout(this.timer);
     try {

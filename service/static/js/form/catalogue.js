@@ -26,9 +26,7 @@ export function kindOf({ protocol: { kind = "rest" } = {}, refine, exponents }) 
 
 /** The studies that the API declares: {kind: {title, begin, fields, parts, models}, …}. `fields` are {settle: {title,
  * about, default, type, choices (of an enum), parts (of an object, its fields)}, …}, `parts` those of the protocol,
- * `models` [{kind, about, fields}, …], `begin` the specification that a form begins with.
- *
- * A new field, contact model or kind of study appears in the form, with its title and description, without any change to the page. */
+ * `models` [{kind, about, fields}, …], `begin` the specification that a form begins with. New ones need no change here. */
 export async function loadStudies() {
   const { schemas } = (await requestJson("/openapi.json")).components;
   const resolve = (schema) => (schema.$ref ? schemas[schema.$ref.split("/").pop()] : schema);
@@ -68,8 +66,7 @@ function firstClause(description) {
   return clause.charAt(0).toLowerCase() + clause.slice(1);
 }
 
-/** The sweeps of the paper's figures: [{title, sweeps: [{key, spec, text}, …]}, …]. `key` is the value of `figure` in an
- * address: "7", or "7.2" for the second sweep of a figure. */
+/** The sweeps of the paper's figures: [{title, sweeps: [{key: "7", or "7.2" of the second sweep of a figure, spec, text}, …]}, …]. */
 export async function loadPresets() {
   return (await requestJson("/v1/figures")).map(({ number, title, sweeps }) => ({
     title: `Fig. ${number}: ${title}`,

@@ -225,8 +225,7 @@ function axesOf(query, spec) {
     .map(([axis, [low, high]]) => [axis, spec && high > low ? windowOn(spec, axis, low, high) : low]));
 }
 
-/** A window on an axis of a specification: of as many values, with rounded limits. As a ramp follows a branch from where
- * it begins, it keeps that end, with the steps of the window. */
+/** A window on an axis: as many values, rounded limits. A ramp follows a branch from its beginning, so it keeps that end. */
 function windowOn({ protocol, ...axes }, name, low, high) {
   const { spacing = "linear" } = axes[name];
   const values = axisValues(axes[name]);

@@ -1,5 +1,4 @@
-// Plans for a given time: efforts and grids of the form's sweep, with the share of the plane that each would show wrong;
-// or its levels, as fine as fit into the time.
+// Plans for a given time: efforts and grids of the form's sweep, with the share each would show wrong, or its levels.
 
 import { partsOf, query, requestDataset } from "../lib/api.js";
 import { announce, button, h, problemLine, workButton } from "../lib/dom.js";

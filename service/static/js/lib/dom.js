@@ -2,8 +2,7 @@
 
 import { isHandledElsewhere, requestBlob } from "./api.js";
 
-/** h("p", {className: "x", onclick: f, "aria-label": "…"}, "text", child): an element with these properties, or else attributes;
- * null and false children are left out. */
+/** h("p", {className: "x", onclick: f}, "text", child): an element; null and false children are left out. */
 export function h(tag, props = {}, ...children) {
   const element = document.createElement(tag);
   for (const [name, value] of Object.entries(props)) {

@@ -39,7 +39,6 @@ export function duration(seconds) {
   return `${number(seconds / 3600, 2)} h`;
 }
 
-/** How long ago a time was; after 36 h, its date. */
 export function ago(time) {
   const seconds = Math.max(0, (Date.now() - new Date(time)) / 1000);
   if (seconds < 10) return "just now";

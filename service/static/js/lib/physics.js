@@ -2,7 +2,6 @@
 
 import { exact, number } from "./format.js";
 
-/** The axes in the order they are shown. */
 export const AXES = ["gamma", "omega", "xi"];
 export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
 export const MEANING = { gamma: "plate acceleration, Aω²/g", omega: "plate frequency, ω/ω₀", xi: "damping, β/(2mω₀)" };

@@ -28,9 +28,8 @@ export function onThemeChange(listener, signal) {
   matchMedia(DARK).addEventListener("change", listener, { signal });
 }
 
-// Modes. The hue is the number of plate periods; lighter than the middle shade are fewer bounces than periods, darker
-// are more. Cells of one colour form a class: a small integer, either an outcome code or FIRST plus an index of hue and
-// shade.
+// The hue of a mode is its number of plate periods; lighter shades have fewer bounces than periods, darker ones more.
+// Cells of one colour form a class: an outcome code, or FIRST plus an index of hue and shade.
 
 const HUES = palette.periods;
 const SHADES = [["<", "fewer"], ["", "equal"], [">", "more"]];

@@ -121,8 +121,7 @@ export function clipped(ctx, { left, top, width, height }, draw) {
   ctx.restore();
 }
 
-/** A bitmap of `width` × `height` pixels stretched over [x0, x1] × [y0, y1]; `fill(pixels)` writes one 32-bit colour
- * (see `rgba32`) per pixel. */
+/** A bitmap of `width` × `height` pixels over [x0, x1] × [y0, y1]; `fill(pixels)` writes their colours (see `rgba32`). */
 export function bitmap(ctx, width, height, fill, x0, y0, x1, y1) {
   const canvas = new OffscreenCanvas(width, height);
   const target = canvas.getContext("2d");

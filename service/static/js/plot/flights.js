@@ -23,8 +23,7 @@ export function flightsText(times, whole, bound) {
   return listed + (!whole && distinct.length > MAX_LISTED ? " …" : "");
 }
 
-/** Draw lines {values, flight_time, keep} over each other, each in `colourOf(line)`. All but the last are drawn with
- * larger dots, which remain visible where two directions agree. */
+/** Draw lines {values, flight_time, keep} over each other; all but the last have larger dots, visible where two agree. */
 export function drawFlights(ctx, box, lines, colourOf) {
   const cells = lines.map(({ values }) => Array.from(values.keys()).filter((cell) => values[cell] >= box.x.low && values[cell] <= box.x.high)); // in view
   let dots = 0;

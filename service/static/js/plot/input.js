@@ -16,9 +16,8 @@ const KEYS = {
 };
 const WHEEL = 0.0016; // logarithm of the zoom per pixel of the wheel
 
-/** Calls these handlers, with positions in axis values: hover(x, y), leave(), select(x, y), selectCurrent(),
- * step(right, up), zoom({x0, x1, y0, y1} or null for everything), isZoomed(), and scale([factors of width and height],
- * [x, y], where that goes if it does not stay). */
+/** Calls handlers with axis values: hover(x, y), leave(), select(x, y), selectCurrent(), step(right, up), isZoomed(),
+ * zoom({x0, x1, y0, y1} or null), scale([factors of width and height], [x, y], where that goes if it does not stay). */
 export function listenToInput(plot, handlers) {
   listenToPointers(plot, handlers);
   // Beside the frame the wheel zooms the axis that it is over.

@@ -1,5 +1,4 @@
-// Where a sweep comes from (times, versions, cost), its specification, the chunks that failed, the model that `auto`
-// selected, its audit, and access from elsewhere.
+// A sweep's origin, specification, failed chunks, the model that `auto` selected, its audit, and access from elsewhere.
 
 import { link } from "../lib/address.js";
 import { SERVICE, partsOf, requestDataset, requestJson, shared } from "../lib/api.js";

@@ -301,7 +301,6 @@ function drawStrips(ctx, box, lines, hidden) {
   });
 }
 
-/** Why a diagram is empty; null if it is not. */
 function emptyMessage(lines) {
   if (lines.some(({ highest }) => highest > 0)) return null;
   const allAre = (wanted) => lines.every(({ outcome }) => outcome.every((value) => value === wanted));

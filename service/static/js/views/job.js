@@ -83,7 +83,6 @@ export class JobView {
     return follows;
   }
 
-  /** Replaces a poll that is due already. */
   #pollAfter(milliseconds, redraw = false) {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.refresh(redraw), milliseconds);

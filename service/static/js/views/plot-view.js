@@ -56,14 +56,12 @@ const requestFitting = (path, options) => requestDataset(path + (fitting.get(pat
  *   read(results)    takes their Datasets (see requestDataset)
  *   filePath(source, format)   the address of the result of a source that is downloaded
  *   content(), drawCursor(ctx, box), whole()   what to draw (see Plot), and the window {x0, x1, y0, y1} of all data
- *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further.
- *                    The views represent cells differently; only their own methods look into one, but for its
- *                    `source` where views have several.
+ *   nearest(x, y), step(cell, right, up)   the cell at a position, or this many cells further; only the view's own
+ *                    methods look into one, but for its `source` where views have several
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   cellsShown(), or cellsInWindow(), isHidden(cell); columnsOfTable()   the cells of the table of what is shown, and
- *                    its columns (see PagedTable)
+ *   cellsShown(), or cellsInWindow(), isHidden(cell); columnsOfTable()   of the table of what is shown (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
  *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
