@@ -12,13 +12,15 @@ import numpy as np
 
 from kernel.cycles.admissibility import gap_terms, gap_weights
 from kernel.cycles.closed_form import TWO_PI, gamma_and_slope, orbit
-from kernel.cycles.events import Branch, branch, flight_times, rows_of
+from kernel.cycles.events import Branch, branch, branch_and_events, flight_times, rows_of
 from kernel.cycles.roots import Floats, roots, stretches
 from kernel.cycles.spring import flight, spring, stuck
 from kernel.params import Cell, Start
 
 #: A cycle of the closed form is one of the cell if it is within this in Gamma, relative.
 _SAME_CELL: Final = 1e-10
+#: Flight times beside an event's, parts of it.
+_BESIDE: Final = (1.0 - 1e-9, 1.0 + 1e-9)
 #: Velocities of the plate at the landing of cycles that never stick, parts of the largest.
 _LANDING: Final = (0.95, 0.8, 0.6, 0.4)
 
@@ -91,13 +93,17 @@ def starts_between_landings(omega: float, xi: float, periods: int, restitution: 
             yield Start(np.array(state), Cell(gamma, omega, xi))
 
 
-def stable_ranges(omega: float, xi: float, periods: int) -> list[tuple[float, float]]:
-    """Ranges of Gamma with a stable admissible cycle (1, periods), to the resolution of the branch's grid.
+def stable_ranges(omega: float, xi: float, periods: int, *, exact: bool = False) -> list[tuple[float, float]]:
+    """Ranges of Gamma with a stable admissible cycle (1, periods), `exact` or to the branch's grid.
 
     Raises KernelInputError.
     """
+    times = flight_times(omega, xi, periods)
+    if exact:
+        events = branch_and_events(omega, xi, periods)[1].flight_time
+        times = np.sort(np.concatenate([times, *(events * side for side in _BESIDE)]))
     with np.errstate(all="ignore"):
-        line = branch(omega, xi, periods, flight_times(omega, xi, periods))
+        line = branch(omega, xi, periods, times)
     ranges = [line.gamma[low:high] for low, high in stretches(line.stable & (line.violations == 0))]
     return [(float(gamma.min()), float(gamma.max())) for gamma in ranges]
 

@@ -7,6 +7,7 @@ specification without loading kernels, Dask or zarr.
 import itertools
 import math
 from collections.abc import Iterator, Mapping
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
@@ -41,6 +42,9 @@ MAX_KEEP: Final = 10_000
 
 #: Limit on the lines of a ramp that starts on cycles; each cycle is sought on submission (5 ms).
 MAX_STARTS: Final = 1_000
+
+#: Roundings of the ends of a range into it.
+_UP, _DOWN = (Context(7, rounding) for rounding in (ROUND_CEILING, ROUND_FLOOR))
 
 #: With "settle": "auto", plate periods before the window of a cell that is not certified, and the default
 #: limit for a settling one: 0.2 % of the cells of docs/specification.md's map still settle then.
@@ -372,10 +376,10 @@ def no_cycle(cell: Cell, periods: int) -> str:
     where = f"gamma {cell.gamma:g}, omega {cell.omega:g}, xi {cell.xi:g}"
     rule = f"there is no stable cycle (1, {periods}) at {where}"
     try:
-        ranges = sorted(stable_ranges(cell.omega, cell.xi, periods))
+        ranges = sorted(stable_ranges(cell.omega, cell.xi, periods, exact=True))
     except KernelInputError as error:
         return f"{rule} ({error})"
     if not ranges:
         return f"{rule}, nor at any other gamma"
-    known = " and ".join(f"{low:.6g} to {high:.6g}" for low, high in ranges)
+    known = " and ".join(f"{_UP.create_decimal(low)} to {_DOWN.create_decimal(high)}" for low, high in ranges)
     return f"{rule}; there is one from gamma {known}"

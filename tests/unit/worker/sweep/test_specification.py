@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from tables import for_each
 
+from kernel.params import Cell
 from worker.spec.axes import MAX_AXIS_VALUES, Range
 from worker.spec.contact_models import CONTACT_MODELS, Rigid
 from worker.spec.errors import SpecInvalid, SpecUnreadable
@@ -17,7 +18,7 @@ from worker.spec.refine import Refine
 from worker.spec.specification import Label
 from worker.studies import from_stored
 from worker.sweep import SweepSpec
-from worker.sweep.specification import EarlierSweep
+from worker.sweep.specification import EarlierSweep, no_cycle, start_of
 
 POINT = {"gamma": 2.0, "omega": 0.5, "xi": 0.26}
 FORMS = "a number, a list of numbers, or a range with start, stop, num and spacing"
@@ -225,6 +226,20 @@ def test_any_accepted_range_increases(one, two, num, spacing):
 )
 def test_a_start_on_a_cycle_that_cannot_be_is_refused(changes, expected):
     assert message(**(SEEDED | changes)).startswith(expected)
+
+
+@for_each(("omega", "xi", "periods"), [(0.6, 0.05, 1), (0.949, 0.053, 1), (1.24, 0.05, 2)])
+def test_a_refused_start_names_all_gamma_that_have_one(omega, xi, periods):
+    def starts(gamma):
+        return start_of(Cell(gamma, omega, xi), periods) is not None
+
+    ranges = re.findall(r"([\d.]+) to ([\d.]+)", no_cycle(Cell(0.01, omega, xi), periods))
+    assert ranges
+    for low, high in np.array(ranges, float).tolist():
+        assert starts(low)
+        assert starts(high)
+        assert not starts(low * (1.0 - 2e-6))
+        assert not starts(high * (1.0 + 2e-6))
 
 
 def test_a_start_is_part_of_the_identity_only_where_it_is_set():
