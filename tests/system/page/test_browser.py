@@ -639,6 +639,20 @@ def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(showin
         assert plot.bounding_box() == box
 
 
+def test_a_plot_is_seen_whole_whatever_stands_above_and_below_it(showing: Any):
+    size = {"width": 1024, "height": 768}  # what is above wraps, and a motion is higher
+    with showing(options={"viewport": size}, omega=0.6, xi=0.05) as page:
+        plot = page.locator(".panel .plot")
+        box = plot.bounding_box()
+        assert 740 < box["y"] + box["height"] < 768
+        plot.click(position={"x": 0.5 * box["width"], "y": 300})
+        page.locator(".trajectory").get_by_text("pairs of flights").wait_for()
+        page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        box, drawer = plot.bounding_box(), page.locator(".trajectory").bounding_box()
+        assert drawer["height"] > 230
+        assert box["y"] + box["height"] < drawer["y"]
+
+
 def test_axes_are_made_logarithmic_on_the_page_and_in_its_files(showing: Any):
     with showing(omega=0.6, xi=0.05) as page:
         axes = page.locator(".panel .plot [id^=axes]")

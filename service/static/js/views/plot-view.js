@@ -27,6 +27,13 @@ export const sourceOf = (job, number = 1) => ({
   grid: Object.fromEntries(AXES.filter((axis) => axis in job.spec).map((axis) => [axis, axisValues(job.spec[axis])])),
 });
 
+/** Plots end at the window's lower edge, or above a cell's motion, whatever stands above them. */
+const measure = (name, selector, side) => document.body.style.setProperty(name, `${document.querySelector(selector)?.[side] ?? 0}px`);
+new ResizeObserver(() => {
+  measure("--above", ".panels", "offsetTop");
+  measure("--below", ".trajectory", "offsetHeight");
+}).observe(document.body);
+
 /** The frame of a page with plots in `root`: bar, line on what is shown, tabs; controls, panels and a motion below are filled later. */
 export function buildFrame(root, { bar, line, tabs = false }) {
   const controls = h("div", { className: "view-controls" });
