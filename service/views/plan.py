@@ -14,7 +14,9 @@ from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
 from worker.analysis.audit import MAX_SECONDS, reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
+from worker.spec.errors import SpecTooLarge
 from worker.studies import study_of
+from worker.study import Plan
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, finest, level
 from worker.sweep.specification import EFFORTS
@@ -54,12 +56,16 @@ class PlanQuery(Query):
         return TOLERANCE if self.tolerance is None and self.budget is None else self.tolerance
 
 
-def settings_of(spec: SweepSpec, pace: Callable[[SweepSpec], float | None], workers: int) -> list[Setting]:
-    """The settings to compare, the most thorough first. Raises SpecInvalid.
+def settings_of(
+    spec: SweepSpec, pace: Callable[[SweepSpec], float | None], workers: int, check: Callable[[Any], Plan]
+) -> list[Setting]:
+    """The settings to compare, the most thorough first. Raises SpecInvalid, SpecTooLarge if all are refused.
 
-    pace: returns that of a sweep, or None if it is not known. workers: number that share the work.
+    pace: returns that of a sweep, or None if it is not known. workers: number that share the work. check:
+    returns the plan of a sweep; raises SpecTooLarge for one that is refused.
     """
     chosen: list[Setting] = []
+    refusal: SpecTooLarge | None = None
     for effort in reversed(EFFORTS):
         whole = SweepSpec.parse(spec.as_submitted() | EFFORTS[effort])
         measured = pace(whole)
@@ -68,9 +74,15 @@ def settings_of(spec: SweepSpec, pace: Callable[[SweepSpec], float | None], work
             if steps is None or any(other.steps == steps for other in chosen if other.spec == whole):
                 continue
             thinned = level(whole, steps)
-            taken = study_of(spec).estimate(thinned, study_of(spec).plan(thinned)).at(measured)
+            try:
+                taken = study_of(spec).estimate(thinned, check(thinned)).at(measured)
+            except SpecTooLarge as error:
+                refusal = refusal or error
+                continue
             seconds = taken.core_seconds / max(workers, 1)
             chosen.append(Setting(whole, steps, seconds, taken.bytes, effort))
+    if refusal and not chosen:
+        raise refusal
     return chosen
 
 

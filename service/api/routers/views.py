@@ -254,7 +254,8 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
     spec = from_json(body)
     if not isinstance(spec, SweepSpec):
         raise InvalidRequest.of("protocol.kind", f"must be rest, of a sweep, not {spec.protocol.kind}")
-    settings = plans.settings_of(spec, service.manager.pace, service.manager.workers())
+    manager = service.manager
+    settings = plans.settings_of(spec, manager.pace, manager.workers(), manager.check)
     fields = query.model_dump()
     format, plain = fields.pop("format"), plans.PlanQuery(**fields)
     [pilot] = _computed(service, None, plans.parts(settings, plain))

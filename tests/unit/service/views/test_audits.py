@@ -21,9 +21,11 @@ from worker.analysis.audit import PARTS, SETS, look
 from worker.analysis.intervals import bounds
 from worker.analysis.planning import Setting, Share, candidates, recommended
 from worker.spec.contact_models import Soft, Stepped
+from worker.spec.errors import SpecTooLarge
 from worker.studies import study_of
+from worker.study.chunks import check_size
 from worker.sweep import SweepSpec
-from worker.sweep.levels import WHOLE, level
+from worker.sweep.levels import WHOLE, cells, level
 
 PLANE = spec_of((0.8, 4, 24), (0.4, 1.0, 16), 0.1)
 RAMP = PLANE | {
@@ -252,8 +254,25 @@ def test_a_plan_of_an_adaptive_map_costs_what_its_levels_cost():
     def cost(spec: SweepSpec) -> Any:
         return study_of(spec).estimate(spec, study_of(spec).plan(spec))
 
-    for setting in settings_of(spec, lambda _: 3.0, workers=2):
+    for setting in settings_of(spec, lambda _: 3.0, 2, study_of(spec).plan):
         assert setting.seconds == cost(level(setting.spec, setting.steps)).at(3.0).core_seconds / 2
+
+
+def test_a_plan_compares_only_what_the_service_would_accept():
+    spec = SweepSpec(**spec_of((0.8, 4, 48), (0.4, 1.0, 32), 0.3))
+
+    def settings(most: int) -> list[Setting]:
+        def check(part: SweepSpec) -> Any:
+            plan = study_of(part).plan(part)
+            check_size(study_of(part).estimate(part, plan), max_cells=most)
+            return plan
+
+        return settings_of(spec, lambda _: 3.0, 2, check)
+
+    compared = [cells(setting.spec, setting.steps) for setting in settings(500)]
+    assert 0 < max(compared) <= 500
+    with pytest.raises(SpecTooLarge, match=r"asks for 1,536 cells; at most 2 are"):
+        settings(2)
 
 
 def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
