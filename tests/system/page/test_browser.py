@@ -600,6 +600,11 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.locator(".snippets pre", has_text='Client("http://127.0.0.1:8000")').wait_for()  # not file://
         page.get_by_role("link", name="Bouncing spring").click()  # there is no list
         wait_shown(page, xi=0.1)
+    damaged = tmp_path / "damaged.html"
+    damaged.write_text(re.sub(r'("data": ".{200}).', r"\1*", file.read_text()))
+    with opened(browser, damaged.as_uri(), offline=True) as page:
+        page.locator(".problem", has_text="This file is damaged").wait_for()
+        page.locator("#offline").wait_for(state="hidden")
     with opened(browser, file.as_uri(), offline=True, java_script_enabled=False) as page:
         assert page.locator("img[alt='Bifurcation diagram']").bounding_box()["width"] > 300
         page.locator("th", has_text="kernel_version").wait_for()

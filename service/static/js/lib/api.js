@@ -69,7 +69,7 @@ function sharedAnswer(path) {
 }
 
 async function send(path, { method = "GET", body, signal }, timeout) {
-  if (shared) return sharedAnswer(path);
+  if (shared) return answered(new Promise((done) => done(sharedAnswer(path))), signal);
   const token = sessionStorage.getItem(TOKEN_KEY);
   const type = body instanceof Blob ? "application/octet-stream" : "application/json";
   const headers = { ...(body !== undefined && { "Content-Type": type }), ...(token && { Authorization: `Bearer ${token}` }) };
@@ -84,9 +84,10 @@ async function send(path, { method = "GET", body, signal }, timeout) {
   return response;
 }
 
-/** What `promise` gives; Unreachable if the connection fails, unless `signal` aborted the request. */
+/** What `promise` gives; Unreachable if the connection fails, unless `signal` aborted the request or it is of a shared file. */
 const answered = (promise, signal) => promise.catch((error) => {
   if (signal?.aborted) throw error;
+  if (shared) throw Object.assign(new Error("This file is damaged: ask for it again."), { status: 422 });
   connection.dispatchEvent(new Event("unreachable"));
   throw new DOMException("the service does not answer", "Unreachable");
 });
