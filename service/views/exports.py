@@ -120,7 +120,8 @@ def check(
     """
     arrays = study_of(spec).variables(spec, plan.chunk_shape).arrays
     if format == "html" and not isinstance(spec, SweepSpec):
-        raise InvalidRequest(f"this job's protocol is {spec.protocol.kind}: only a sweep has a page to share")
+        rule = f"html, a page to share, is for sweeps, not for {spec.protocol.kind}: nc has all its results"
+        raise InvalidRequest.of("format", rule)
     if layout == "flights" and format != "parquet":
         raise InvalidRequest.of("layout", f"flights is for parquet, whose rows they are, not for {format}")
     if layout == "flights" and not any(array.dims[-1] == "flight" for array in arrays):

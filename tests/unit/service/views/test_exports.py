@@ -235,7 +235,7 @@ def test_netcdf_holds_what_is_stored_of_attractors(attractors: Done, tmp_path: P
 def test_what_is_no_sweep_has_no_page(attractors: Done):
     answer = attractors.client.get(f"{attractors.here}/export?format=html")
     assert answer.status_code == 422
-    assert re.search("this job's protocol is .*: only a sweep has a page to share", answer.text)
+    assert re.search("format: html, a page to share, is for sweeps, not for .*: nc has all", answer.text)
 
 
 def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
