@@ -148,6 +148,7 @@ class ClosedForm(NamedTuple):
 @lru_cache(maxsize=64)
 def closed_form(omega: float, xi: float) -> ClosedForm:
     """The part of the rule that needs nothing compiled. Raises KernelInputError."""
+    flight_times(omega, xi, 1)  # refuses a spring without branches
     k, gamma_th = spring(omega, xi), float(threshold(omega, xi))
     jump = math.nan
     folds: list[Fold] = []

@@ -104,7 +104,10 @@ def _searched(contact: Contact, omega: float, xi: float) -> Thresholds:
     answer = of_contact(contact, omega, xi)
     if math.isfinite(answer.down) or not math.isfinite(answer.gamma_th):
         return answer
-    end = search_below(contact, omega, xi)
+    try:
+        end = search_below(contact, omega, xi)
+    except KernelInputError:  # for which the answer has the reason
+        return answer
     down, what = (end.gamma, end.what) if end.what else (answer.gamma_th, EQ_25)
     return answer._replace(down=down, cause=f"{what}{SEARCHED}", reason="")
 

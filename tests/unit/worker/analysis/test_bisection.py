@@ -13,7 +13,8 @@ from kernel.params import Cell, Outcome
 from kernel.threshold import threshold
 from worker import store
 from worker.analysis.bisection import Refined, Status, by_bisection
-from worker.analysis.prediction import predict, predict_each
+from worker.analysis.prediction import predict, predict_each, search_each
+from worker.spec.contact_models import Rigid
 from worker.sweep import SweepSpec
 
 TOLERANCE = 1e-4
@@ -186,13 +187,15 @@ def test_a_refinement_that_reaches_its_limit_says_so(
 
 def test_what_has_no_closed_form_is_unresolved_and_says_why():
     resonant, slow = predict(1.0, 0.0), predict(0.001, 0.05)
-    for found, omega, xi in ((resonant, 1.0, 0.0), (slow, 0.001, 0.05)):
+    (searched,) = search_each(Rigid(restitution=0.3), (1.0,), 0.0)
+    for found, omega, xi in ((resonant, 1.0, 0.0), (searched, 1.0, 0.0), (slow, 0.001, 0.05)):
         assert (found.omega, found.xi, found.cause) == (omega, xi, "unresolved")
         assert found.gamma_th == pytest.approx(float(threshold(omega, xi)))
         assert np.isnan([found.jump, found.down]).all()
         assert found.fold is None
     assert "omega: must be at least about 0.038" in slow.reason
-    assert resonant.reason
+    assert resonant.reason == searched.reason
+    assert "xi: must be > 0 at omega = 1" in searched.reason
     one, two = predict_each((0.6, 0.62), 0.05)
     assert (one.down, two.down) == (predict(0.6, 0.05).down, predict(0.62, 0.05).down)
     assert one.cause == "fold (1,1)"
