@@ -106,7 +106,7 @@ class Line(NamedTuple):
     periods: NDArray[np.int32]  # (n,) plate periods per cycle
     end_state: NDArray[np.float64]  # (n, len(STATE_FIELDS)) at the end of each cell's window
     lyapunov: NDArray[np.float64]  # (n, exponents) per plate period, natural logarithm, the largest first
-    lyapunov_error: NDArray[np.float64]  # (n,) standard error of the first of them, NaN without exponents
+    lyapunov_error: NDArray[np.float64]  # (n,) standard error of the first of them, NaN where it has none
     # of certified cells, else NaN:
     flight_error: NDArray[np.float64]  # (n,) rad; a bound on the error of each flight time and take-off phase
     multiplier: NDArray[np.float64]  # (n,) modulus of the cycle's leading Floquet multiplier
@@ -147,7 +147,7 @@ LARGEST: Final = 1e30
 
 
 def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
-    """Check float64 arrays (n,) of one length, by name, each within its rule."""
+    """Check float64 arrays (n,) of one length, by name, each within its rule. Raises KernelInputError."""
     shape = None
     for name, array in arrays.items():
         kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
@@ -170,7 +170,7 @@ def check_arrays(arrays: dict[str, NDArray[np.float64]]) -> None:
 
 
 def checked_states(states: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """The states (n, len(STATE_FIELDS)) that n cells start from, checked."""
+    """The states (n, len(STATE_FIELDS)) that n cells start from. Raises KernelInputError."""
     array = np.ascontiguousarray(states, dtype=np.float64)
     if array.shape != (n, len(STATE_FIELDS)) or not np.all(np.isfinite(array)):
         rule = f"must hold {len(STATE_FIELDS)} finite numbers for each of {n} cells"

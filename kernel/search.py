@@ -77,7 +77,7 @@ def starts_of(effort: float) -> int:
 
 
 def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0) -> Searched:
-    """The lowest Gamma at which a spring bounces. plate: of one cell.
+    """The lowest Gamma at which a spring bounces. plate: of one cell. Raises KernelInputError.
 
     Starts lie between the lowest known end, where rest or a branch beside the closed form ends, and _LOWEST
     of it.

@@ -70,8 +70,8 @@ def sample(
     params.STATE_FIELDS), such as a cell's end state; None for rest at phase 0.
     Returns n = periods * samples + 1 samples. `stepped` is sampled at the nearest of its own steps.
 
-    Raises KernelInputError as `line.run_line` does, and for a state that is not finite or whose phase is not
-    in [0, 2 pi).
+    Raises KernelInputError as `params.check_arrays` does, and for a state that is not finite or whose phase
+    is not in [0, 2 pi).
     """
     check_arrays({name: np.array([value], np.float64) for name, value in cell._asdict().items()})
     if state is not None and not (np.all(np.isfinite(state)) and 0.0 <= state[0] < TWO_PI):

@@ -100,7 +100,7 @@ def run(
     Parameters
     ----------
     spec
-        A mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
+        A mapping, a `SweepSpec`, or the path of a .json or .toml file.
     store
         Folder for the study's zarr store, which appears once complete; the Dataset then reads values when
         they are used. A complete store of the same study is returned. Without a store, the results are held
@@ -120,10 +120,10 @@ def run(
 
     Raises
     ------
-    SpecError
-        Names field and rule.
-    FileExistsError
-        `store` exists and is not the store of this study.
+    SpecError, InvalidSpecification
+        Name field and rule.
+    FileExistsError, FileNotFoundError
+        `store` exists and is not the store of this study, or the folder around it is missing.
     RunFailed
         A chunk could not be computed.
     DataFolderBusy

@@ -211,7 +211,7 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
 
 
 def fold_events(omega: float, xi: float, periods: int, below: float) -> Events:
-    """The folds of the branch (1, periods) below a Gamma, without the rest of the branch."""
+    """The folds of the branch (1, periods) below a Gamma, and no more of it. Raises KernelInputError."""
     t = flight_times(omega, xi, periods)
     k = spring(omega, xi)
 

@@ -109,7 +109,7 @@ def stable_ranges(omega: float, xi: float, periods: int, *, exact: bool = False)
 
 
 def starts_on_admissible_cycles(omega: float, xi: float, periods: int) -> Iterator[CycleStart]:
-    """A start within each stretch of admissible cycles (1, periods), stable or not."""
+    """A start in each stretch of admissible cycles (1, periods), stable or not. Raises KernelInputError."""
     with np.errstate(all="ignore"):
         line = branch(omega, xi, periods, flight_times(omega, xi, periods))
     for low, high in stretches(line.violations == 0):

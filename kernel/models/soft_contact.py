@@ -11,7 +11,7 @@ gap and the gap mode's.
 The more damped the contact, the further apart the rates of the gap mode: the mass stops within 1/beta rad and
 creeps back at kappa/beta = 1/(2 zeta d). Of that creep n is 1/(2 zeta)**2 of kappa gap, and nearly all of
 kappa gap + beta gap' cancels. So an overdamped mode is carried by its two amplitudes
-(`kernel.numerics.oscillator`), and n follows from each by the sum that cancels least (`_lift`).
+(`kernel.numerics.oscillator`), and n follows from each by the sum that cancels least (`_gap_to_force`).
 """
 
 import math

@@ -98,7 +98,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         Parameters
         ----------
         spec
-            A mapping, a `worker.spec.SweepSpec`, or the path of a .json or .toml file.
+            A mapping, a `SweepSpec`, or the path of a .json or .toml file.
         key
             Idempotency key: a repeated request changes nothing, whatever happened to the job since.
 

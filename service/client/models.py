@@ -68,7 +68,7 @@ class Estimate(NamedTuple):
     chunks: int
     bytes: int  # of the stored arrays, before compression
     core_seconds: float  # of an adaptive map at most
-    longest_core_seconds: float | None  # upper end: counts for limits; None where core_seconds is
+    longest_core_seconds: float | None  # upper end: counts for limits; None for orbits
     basis: str  # measured: from a sample of the study; table: from the table of costs
     computed_cells: tuple[int, int] | None = None  # of an adaptive map, as a rule: at least and at most
     least_core_seconds: float | None = None  # of an adaptive map

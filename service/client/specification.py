@@ -16,7 +16,7 @@ from worker.spec.errors import Problem as FieldProblem
 if TYPE_CHECKING:
     from worker.spec.specification import Specification as Model
 
-#: A mapping, a file's path, or a model such as `worker.spec.SweepSpec`.
+#: A mapping, a file's path, or a model such as `SweepSpec`.
 Specification: TypeAlias = "Mapping[str, Any] | str | PathLike[str] | Model"
 
 

@@ -13,7 +13,7 @@ from worker.sweep.plan import CHUNK_SECONDS, cell_seconds, longest_seconds
 #: Starts of an attractor that run on, and the windows for which they do.
 REPRESENTATIVES, RUNS_ON = 32, 8
 
-#: Most bytes of a line, which is computed as one: a slice of it lasts seven seconds (`worker.work`).
+#: Most bytes of a line, which is computed as one: a slice of it lasts four seconds (`worker.work`).
 MAX_LINE_BYTES: Final = 64 * 2**20
 
 #: Average runs of a cell of a multistability study: of each drop with its continuation, and of followed

@@ -53,7 +53,7 @@ class SpecInvalid(SpecError):
 
 
 class SpecTooLarge(SpecError):
-    """The sweep has more cells or stored bytes than allowed."""
+    """The study has more cells, stored bytes or core-seconds than allowed."""
 
 
 class BrokenRuleError(ValueError):

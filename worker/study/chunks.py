@@ -156,7 +156,7 @@ class Cost(Strict):
     longest_core_seconds: float | None = Field(
         None,
         description="upper limit: all cells bounce as often as those that bounce most, and as many settle as "
-        "where most do; null where core_seconds is",
+        "where most do; null for a study of orbits",
     )
     basis: Literal["measured", "table"] = Field(
         "table", description="measured: the table of costs, scaled by what a sample of the study took"
