@@ -73,7 +73,7 @@ def dot(x: Any, y: Any) -> float:
 
 @jit
 def largest(x: Any) -> float:
-    """The largest absolute value of a vector's elements; NaN if one is."""
+    """The largest absolute value of a vector's elements; NaN if the last is, as of a failed `solve`."""
     value = 0.0
     for i in range(4):
         if not abs(x[i]) <= value:
