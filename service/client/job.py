@@ -235,7 +235,6 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """Where the service has the store: a folder of its machine, or s3://BUCKET/PREFIX.
 
         `xarray.open_zarr` reads it there, if this machine can. Damage is not reported to the service then.
-
         Raises StoreUnreachable, UnexpectedAnswer.
         """
         from service.client.zarr_store import store_url

@@ -35,8 +35,7 @@ def make_plan(
 ) -> Plan:
     """Divide a map into tiles of `chunk_shape` cells along (xi, omega, gamma), or of `tile_shape`.
 
-    A cell's values depend on its tile.
-    Raises ValueError for a size below 1, or for tiles of several xi.
+    A cell's values depend on its tile. Raises ValueError for a size below 1, or for tiles of several xi.
     """
     _, *grid = spec.shape
     shape = tile_shape(spec, refine_of(spec).coarsest) if chunk_shape is None else chunk_shape

@@ -36,10 +36,7 @@ def write_marker(url: str, content: str) -> None:
 
 
 def read_marker(url: str) -> str | None:
-    """The mark of the stores at an address; None without one.
-
-    Raises OSError, or one of `store.UNREACHABLE`.
-    """
+    """The mark of the stores at an address; None without one. Raises as `write_marker`."""
     content = backend.read_key(url, MARKER)
     return None if content is None else content.decode(errors="replace")
 
