@@ -52,7 +52,7 @@ class Thresholds(NamedTuple):
 
     omega: float
     xi: float
-    gamma_th: float  # Eq. 25: rest ends on the way up
+    gamma_th: float  # rest ends there on the way up; Eq. 25 on an ideal plate
     jump: float = math.nan  # the fold at which flights leap on the way up; NaN if there is none
     down: float = math.nan  # Gamma_down, the lowest at which bouncing persists; NaN if not decided
     #: "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
