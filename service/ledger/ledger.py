@@ -63,7 +63,8 @@ class Ledger(AbstractContextManager["Ledger"]):
                 check(self._reader, path)
                 make_tables(self._writer)
             except sqlite3.DatabaseError as error:
-                raise LedgerUnusable(f"{path} cannot be used: {error}: {MEND}") from error
+                mend = "" if getattr(error, "sqlite_errorcode", 0) & 0xFF in _REFUSED else f": {MEND}"
+                raise LedgerUnusable(f"{path} cannot be used: {error}{mend}") from error
             self._opened = opened.pop_all()
         self.keep_reserve()
         if kind := network_file_system(path.parent):
@@ -224,6 +225,8 @@ NOT_LOCAL: Final = (
 
 #: SQLite's codes for a damaged file.
 _DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+#: Its codes for a file that is locked or another user's: nothing is wrong with its contents.
+_REFUSED: Final = frozenset({sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY})
 
 
 @contextmanager

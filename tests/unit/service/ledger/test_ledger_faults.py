@@ -87,6 +87,12 @@ def test_a_damaged_ledger_is_named_and_nothing_is_changed(
     assert (settings.ledger_path.read_bytes(), files(data / "stores")) == (before, stored)
 
 
+def test_a_ledger_that_cannot_be_opened_is_not_called_damaged(tmp_path: Path):
+    (tmp_path / "ledger.sqlite").mkdir()  # root can read any file
+    with pytest.raises(LedgerUnusable, match=r"cannot be used: unable to open database file$"):
+        Ledger(tmp_path / "ledger.sqlite")
+
+
 def test_an_empty_file_is_a_new_ledger_where_nothing_is_stored(tmp_path: Path):
     settings = Settings(data=tmp_path)
     settings.ledger_path.touch()
