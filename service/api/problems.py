@@ -57,8 +57,7 @@ class ProblemResponse(Response):
         headers: Mapping[str, str] | None = None,
     ) -> None:
         own = {"Retry-After": str(RETRY_AFTER[status])} if status in RETRY_AFTER else {}
-        title = HTTPStatus(status).phrase
-        document: dict[str, Any] = {"title": title, "status": status, "detail": detail}
+        document: dict[str, Any] = {"title": HTTPStatus(status).phrase, "status": status, "detail": detail}
         if problems:
             document["errors"] = [problem._asdict() for problem in problems]
         # json.dumps escapes lone surrogates, which a caller's input may contain; Pydantic refuses them.
@@ -82,16 +81,15 @@ def problem_response(error: Exception) -> ProblemResponse:
         status = error.status
     else:
         status = next(status for error_class, status in FOREIGN.items() if isinstance(error, error_class))
-    if isinstance(error, LedgerUnavailable):
+    if isinstance(error, LedgerUnavailable | StoreError):  # a store's text begins with its address
         log.error("%s", error)
     if isinstance(error, store.UNREACHABLE):
         log.error("the bucket of the stores does not answer: %s", error)
         return ProblemResponse(status, "the bucket of the stores does not answer")
-    if isinstance(error, StoreError):  # its text begins with the store's address
-        log.error("%s", error)
+    if isinstance(error, StoreError):
         return ProblemResponse(status, "the stored results cannot be read; see the service log")
     if isinstance(error, OSError):
-        log.error("the data folder cannot be used", exc_info=error)
+        log.error("the data folder cannot be used: %s", error, exc_info=None if error.filename else error)
         reason = error.strerror or type(error).__name__
         return ProblemResponse(status, f"the data folder cannot be used: {reason}; see the service log")
     return ProblemResponse(status, str(error), getattr(error, "problems", ()))

@@ -1,5 +1,6 @@
 """The HTTP API, from the submission of a sweep to every format of its diagram."""
 
+import errno
 import os
 import re
 from pathlib import Path
@@ -11,6 +12,8 @@ from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 from served import FIGURE_2, computing, finished, get, read, service
 from tables import for_each
+
+from worker.store import backend
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +54,21 @@ def test_the_name_of_the_data_folder_need_not_be_utf_8(tmp_path: Path):
         where = f"{finished(client, sweep().as_submitted())}/zarr/zarr.json"
         assert f"{quote(os.fsencode(tmp_path))}/%FF/" in client.get(where).headers["Bounce-Store"]
         assert get(client, "/v1/software")["data"] == f"{tmp_path}/\ufffd"
+
+
+def test_a_file_that_cannot_be_read_is_named_in_the_log_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    def refuse(url: str, key: str) -> bytes:
+        raise PermissionError(errno.EACCES, "Permission denied", key)
+
+    with computing(tmp_path) as client:
+        here = finished(client, sweep().as_submitted())
+        monkeypatch.setattr(backend, "read_key", refuse)
+        answer = client.get(f"{here}/zarr/outcome/c.0.0.0.0")
+    assert (answer.status_code, "zarr.json" in answer.text) == (503, False)
+    assert "Permission denied: 'zarr.json'" in caplog.text
+    assert "Traceback" not in caplog.text
 
 
 # Diagrams
