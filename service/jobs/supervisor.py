@@ -238,9 +238,8 @@ class Supervisor:
             self.metrics.add_computed(report.seconds)
             return
         if isinstance(error, store.StoreDamaged):
-            prepared = run.prepared
             with suppress(OSError, *store.UNREACHABLE):  # the next try reports the error
-                store.repair_metadata(prepared.store_url, prepared.layout, prepared.attributes)
+                store.repair_metadata(run.prepared.store_url, run.prepared.layout, run.prepared.attributes)
         self._on_error(run, chunk, cast(BaseException, error))
 
     def _on_error(self, run: JobRun, chunk: int, error: BaseException) -> None:
@@ -249,7 +248,8 @@ class Supervisor:
         self.metrics.returned.labels(action.value, type(error).__name__).inc()
         if action in FAILED_TRIES:
             trace = None if isinstance(error, ExecutorError | OSError) else error
-            log.warning("job %s, chunk %d: %s", run.job.id, chunk, text_of(error), exc_info=trace)
+            file = getattr(error, "filename", None) or ""
+            log.warning("job %s, chunk %d: %s %s", run.job.id, chunk, text_of(error), file, exc_info=trace)
         if action is Action.PAUSE:
             self._schedule.slots = 0
             if isinstance(error, store.UNREACHABLE):
