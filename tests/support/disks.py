@@ -13,7 +13,7 @@ import pytest
 def mounted(folder: Path, options: str) -> Iterator[Path]:
     """A file system in memory; skips where none can be mounted."""
     folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    command = ["mount", "-t", "tmpfs", "-o", f"mode=755,{options}", "tmpfs", str(folder)]
     if subprocess.run(command, capture_output=True, check=False).returncode:
         pytest.skip("file systems cannot be mounted here")
     try:
