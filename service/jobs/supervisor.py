@@ -248,8 +248,8 @@ class Supervisor:
         self.metrics.returned.labels(action.value, type(error).__name__).inc()
         if action in FAILED_TRIES:
             trace = None if isinstance(error, ExecutorError | OSError) else error
-            file = getattr(error, "filename", None) or ""
-            log.warning("job %s, chunk %d: %s %s", run.job.id, chunk, text_of(error), file, exc_info=trace)
+            text = f"{text_of(error)} {getattr(error, 'filename', None) or ''}".rstrip()
+            log.warning("job %s, chunk %d: %s", run.job.id, chunk, text, exc_info=trace)
         if action is Action.PAUSE:
             self._schedule.slots = 0
             if isinstance(error, store.UNREACHABLE):
