@@ -165,7 +165,7 @@ def _to_tuple(value: object) -> object:
     if not values:
         raise BrokenRuleError("", "must hold at least one number")
     if len(values) > MAX_AXIS_VALUES:
-        raise BrokenRuleError("", f"must hold at most {MAX_AXIS_VALUES} numbers, not {len(values)}")
+        raise BrokenRuleError("", f"must hold at most {MAX_AXIS_VALUES:,} numbers, not {len(values):,}")
     return tuple(values)
 
 

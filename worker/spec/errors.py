@@ -160,8 +160,8 @@ def rule_of(entry: Mapping[str, Any]) -> str:
     # a number of a query is text; in a specification, which is read strictly, text breaks a rule as text
     is_text = kind.endswith(("_type", "literal_error")) or not length or not is_number(str(value))
     shown = describe(value) if is_text else value
-    limits = {name: f"{limit:g}" if isinstance(limit, float) else limit for name, limit in context.items()}
-    limits |= {name: f"{limit:,}" for name, limit in context.items() if isinstance(limit, int)}
+    formats = {float: "g", int: ","}
+    limits = {name: format(limit, formats.get(type(limit), "")) for name, limit in context.items()}
     text = rule.format(value=shown, length=length, **limits)
     if kind == "literal_error":
         text += did_you_mean(value, context["expected"].split("'")[1::2])

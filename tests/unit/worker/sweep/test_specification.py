@@ -62,7 +62,7 @@ AXIS_RULES = [
     ([], "gamma: must hold at least one number"),
     ([1.0, "a"], "gamma[1]: must be a number, not text 'a'"),
     ([1.0, 1.0], "gamma: must increase, but 1.0 is followed by 1.0; sort and drop repeats"),
-    ([1.0] * (MAX_AXIS_VALUES + 1), "gamma: must hold at most 100000 numbers, not 100001"),
+    ([1.0] * (MAX_AXIS_VALUES + 1), "gamma: must hold at most 100,000 numbers, not 100,001"),
     ({"start": 1.0}, "gamma.stop: is required\ngamma.num: is required"),
     (range_(num=2.5), "gamma.num: must be a whole number: 2 or 3, not 2.5"),
     (range_(num=0.5), "gamma.num: must be a whole number: 1, not 0.5"),
