@@ -55,6 +55,12 @@ class Runner(Protocol):
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         """Compute a sweep for at most `seconds`; whether it is complete then."""
 
+    def changed(self) -> float | None:
+        """The share of the last complete level's points where the one before it shows another mode.
+
+        None if that cannot be read.
+        """
+
     def audit(self, spec: SweepSpec, seconds: float) -> str | None:
         """Audit a complete sweep for at most `seconds`; the audit's sentence, None if it did not end."""
 
@@ -67,6 +73,7 @@ class Level:
     steps: Steps
     cells: int
     seconds: float  # that the level took, also where it was complete before; 0 if that is not known
+    changed: float | None = None  # share of its points where the level before shows another mode
 
 
 @dataclass
@@ -110,20 +117,22 @@ def within(
     started = clock() - began
     whole_budget, budget = budget, started + usable(budget, started)
     reserved = AUDIT * budget
-    whole = cells(spec, WHOLE)
+    whole, gap = cells(spec, WHOLE), ""
     by_table = whole / runner.seconds(spec)  # cells in a second
     complete = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
     steps: Steps | None = complete or (WHOLE if AT_ONCE * budget * by_table >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         earlier = runner.took(part) if runner.is_done(part) else None
-        show(f"{cells(spec, steps):,} cells{_thinning(steps)}", max(left, 0.0))
+        show(f"{cells(spec, steps):,} cells{_thinning(steps)}{gap}", max(left, 0.0))
         now = clock()
         # the first level may take all of the time: without it there is no answer
         if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
         took = clock() - now if earlier is None else earlier
-        answer.levels.append(Level(part, steps, cells(spec, steps), took))
+        changed = runner.changed() if answer.levels else None
+        gap = "" if changed is None else f"; the last level changed {100.0 * changed:.2g} % of the picture"
+        answer.levels.append(Level(part, steps, cells(spec, steps), took, changed))
         left = (budget - (clock() - began) - reserved) / MARGIN
         timed = [done for done in answer.levels if done.seconds > 0.0]
         if steps == WHOLE:
@@ -137,7 +146,7 @@ def within(
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s is left"
     if left >= LEAST_AUDIT:
-        show("audit of the last level", left)
+        show(f"audit of the last level{gap}", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
         ending = answer.audit or "no audit: it would take longer than is left"
     show(ending, 0.0)

@@ -47,6 +47,7 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
 from service.settings import Settings
 from service.views import audit, exports
+from service.views.difference import changed
 from service.views.registry import VIEWS, admit, answer, stored
 from service.views.springs import threshold
 from service.views.view import Call, Query, View
@@ -329,6 +330,7 @@ class _Runner:
         self.seconds, self.is_done, self.took = manager.seconds, manager.is_done, manager.took
         self._progress = progress
         self._last: Computed | None = None
+        self._before: Computed | None = None  # the level before the last
         self._took = 0.0  # seconds, of the last level
 
     def done(self, spec: Any, deadline: float = math.inf) -> Computed:
@@ -354,7 +356,7 @@ class _Runner:
     def compute(self, spec: Any, seconds: float) -> bool:
         now = time.monotonic()
         try:
-            self._last = self.done(spec, now + seconds)
+            self._before, self._last = self._last, self.done(spec, now + seconds)
         except (TimeoutError, ServiceError) as error:
             if self._last is None and (fault := self._manager.fault()):
                 raise RunFailed(fault) from error
@@ -363,6 +365,14 @@ class _Runner:
             return False
         self._took = time.monotonic() - now
         return True
+
+    def changed(self) -> float | None:
+        assert self._last is not None
+        assert self._before is not None
+        study, other = (stored(level.record, level.job) for level in (self._last, self._before))
+        with suppress(stores.StoreError):
+            return changed(replace(study, other=other))
+        return None
 
     def audit(self, spec: Any, seconds: float) -> str | None:
         assert self._last is not None

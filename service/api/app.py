@@ -100,7 +100,9 @@ def _service(
         settings=settings,
         ledger=ledger,
         manager=manager,
-        budgets=Budgets(manager, ledger, lambda job, seconds: views.audited(service, job, seconds)),
+        budgets=Budgets(
+            manager, ledger, lambda *of: views.audited(service, *of), lambda *of: views.changed(service, *of)
+        ),
         on_demand=OnDemandCache(executor, jobs_compute=manager.supervisor.in_flight),
         capacity=Capacity(
             {

@@ -33,13 +33,15 @@ LOOK_SECONDS: Final = 0.05
 
 #: The sentence of a job's audit; None if it takes longer than this many seconds.
 Audit = Callable[[JobRecord, float], str | None]
+#: The share of a level's points where the level before it shows another mode; None if that cannot be read.
+Changed = Callable[[JobRecord, JobRecord], float | None]
 
 
 class Budgets:
     """The budgets of a service. Its methods may be called from any thread."""
 
-    def __init__(self, manager: JobManager, ledger: Ledger, audit: Audit) -> None:
-        self.manager, self.ledger, self.audit = manager, ledger, audit
+    def __init__(self, manager: JobManager, ledger: Ledger, audit: Audit, changed: Changed) -> None:
+        self.manager, self.ledger, self.audit, self.changed = manager, ledger, audit, changed
         self.stopping = threading.Event()
         self._lock = threading.Lock()
         self._budgets: list[Budget] = []  # the last begun first
@@ -160,6 +162,10 @@ class Budget:
         if record is not None:
             self._why = f"; a finer level is {record.state}{f': {record.error}' if record.error else ''}"
         return False
+
+    def changed(self) -> float | None:
+        before, last = map(self._budgets.ledger.find, self.levels[-2:])
+        return None if before is None or last is None else self._budgets.changed(last, before)
 
     def audit(self, spec: SweepSpec, seconds: float) -> str | None:
         job = self._budgets.ledger.find(self.answer or "")

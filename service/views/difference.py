@@ -1,6 +1,8 @@
 """The difference of two sweeps: cells with other modes, and by how much thresholds move."""
 
+from collections.abc import Sequence
 from decimal import ROUND_CEILING, Context
+from itertools import product
 from typing import Annotated, Final
 
 import numpy as np
@@ -16,7 +18,7 @@ from service.views.variables import coordinate, dataset, row, variable
 from service.views.view import Estimate, Every, FirstDirection, Number, Query, View
 from worker.spec.specification import JobId
 from worker.study import Array
-from worker.sweep import SweepSpec
+from worker.sweep import AXES, SweepSpec
 from worker.sweep.schema import MODE_ARRAYS, OUTCOME, RECORD
 
 _PLANE: Final = ("omega", "gamma")
@@ -82,8 +84,7 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     common = both = np.logical_and.outer(*inside)
     for arrays in (own, theirs):
         both = both & (arrays["outcome"] != Outcome.MISSING)
-    compared = [array.name for array in _OF_CELLS if array.name in own and array.name in theirs]
-    same = np.logical_and.reduce([own[name] == theirs[name] for name in compared])
+    compared, same = _same(own, theirs)
     data = {"differs": np.where(both, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
@@ -103,12 +104,33 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     )  # fmt: skip
 
 
+def changed(study: selection.Stored[SweepSpec]) -> float:
+    """The share of a complete sweep's cells with another mode than the nearest cell of the `other` one.
+
+    Of a sweep and a coarser one of the same axes it is how much of the coarser one's picture is wrong.
+    """
+    spec, other = study.spec, study.other
+    assert other is not None
+    (near_xi, *near), _ = _nearest(spec, other.spec, axes=AXES)
+    names, found = selection.arrays_of_modes(spec, None), []
+    for direction, (xi, other_xi) in product(spec.directions, enumerate(near_xi)):
+        own = selection.recounted(spec, selection.read_direction(study, names, direction, {"xi": xi}), None)
+        found.append(1.0 - _same(own, _read_nearest(other, direction, int(other_xi), near))[1].mean())
+    return float(np.mean(found))
+
+
+def _same(own: selection.Arrays, theirs: selection.Arrays) -> tuple[list[str], NDArray[np.bool_]]:
+    """The arrays of modes that both sweeps have, and the cells in which all of them are equal."""
+    compared = [array.name for array in _OF_CELLS if array.name in own and array.name in theirs]
+    return compared, np.logical_and.reduce([own[name] == theirs[name] for name in compared])
+
+
 def _nearest(
-    spec: SweepSpec, other: SweepSpec, every: int = 1
+    spec: SweepSpec, other: SweepSpec, every: int = 1, axes: Sequence[str] = _PLANE
 ) -> tuple[list[NDArray[np.intp]], list[NDArray[np.bool_]]]:
-    """Indices of the other sweep's nearest omegas and gammas, and which of them are within its axes."""
+    """Indices of the other sweep's nearest values of each axis, and which of them are within its axes."""
     near, inside = [], []
-    for axis in _PLANE:
+    for axis in axes:
         values, theirs = spec.axis_values(axis)[::every], other.axis_values(axis)
         right = np.clip(np.searchsorted(theirs, values), 1, max(len(theirs) - 1, 1))
         left = np.minimum(right, len(theirs)) - 1

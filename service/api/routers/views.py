@@ -28,17 +28,17 @@ from service.api.schemas import (
     problem_responses,
 )
 from service.background import Asker
-from service.errors import Busy, InvalidRequest, NotComputed
+from service.errors import Busy, InvalidRequest, NotComputed, ServiceError
 from service.formats import EXPORTS, MEDIA_TYPES, PICTURES, DatasetFormat
 from service.jobs.on_demand import Pending
 from service.ledger.model import JobRecord
-from service.views import audit
+from service.views import audit, difference
 from service.views import plan as plans
 from service.views.registry import SPRINGS, VIEWS, admit, answer, encoded, motion
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
-from worker.store import StoreDamaged, StoreMissing
+from worker.store import StoreDamaged, StoreError, StoreMissing
 from worker.studies import from_json
 from worker.sweep import SweepSpec
 
@@ -159,6 +159,14 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
             over.cancel()
             return service.audit_of(job)
         over.join(0.5)
+    return None
+
+
+def changed(service: Service, job: JobRecord, before: JobRecord) -> float | None:
+    """The share of a job's points where a coarser one shows another mode; None if that cannot be read."""
+    study = replace(dependencies.stored(service, job), other=dependencies.stored(service, before))
+    with suppress(StoreError, ServiceError):
+        return service.background.run(difference.changed, study)
     return None
 
 

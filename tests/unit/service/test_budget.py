@@ -1,5 +1,6 @@
 """A budget is kept, and used: levels computed by a runner whose speed is not what its estimates say."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from studies import spec_of
 from kernel.params import KERNEL_VERSION
 from service import local
 from service.budget import Answer, within
+from service.views.difference import changed
+from service.views.registry import stored
+from service.views.selection import Stored
 from worker.spec.errors import SpecInvalid
 from worker.sweep import SweepSpec
 from worker.sweep.levels import WHOLE, cells, level
@@ -52,6 +56,9 @@ class Simulated:
         self.now += min(takes, seconds)
         return takes <= seconds
 
+    def changed(self) -> float:
+        return 0.125
+
     def audit(self, spec: SweepSpec, seconds: float) -> str | None:
         self.now += 0.8 * seconds
         return "audited"
@@ -80,6 +87,29 @@ def test_a_budget_is_used():
         used.append(1.0 if whole else (began + sum(level.seconds for level in levels)) / budget)
     assert np.mean(np.array(used) > 0.6) > 0.95
     assert min(used) > 0.5
+
+
+def test_a_level_says_how_much_of_the_picture_the_last_one_changed():
+    runner, said = Simulated(cell=1e-3, start=0.1, guess=1.0), list[str]()
+    levels = within(SPEC, 60.0, runner, lambda text, _: said.append(text), runner.clock).levels
+    assert [each.changed for each in levels] == [None] + (len(levels) - 1) * [0.125]
+    changed = ["; the last level changed 12 % of the picture" in text for text in said]
+    assert changed == [False, False] + (len(levels) - 1) * [True] + [False]
+
+
+def test_the_picture_that_a_level_changed_is_counted_over_all_its_cells(tmp_path: Path):
+    fine = SweepSpec(**spec_of((0.4, 2.0, 24), [0.5, 0.55, 0.6, 0.65], [0.05, 0.1], ramp="both"))
+    studies, results = list[Stored[SweepSpec]](), []
+    for spec in (fine, level(fine, (1, 3, 5))):
+        with local.computed(spec, tmp_path / spec.job_id(KERNEL_VERSION), progress=False) as done:
+            studies.append(stored(done.record, done.job))
+        results.append(local.run(spec, progress=False))
+    own, other = results
+    near = other.sel({axis: own[axis] for axis in ("xi", "omega", "gamma")}, method="nearest")
+    names = ("outcome", "bounces", "periods")
+    differs = np.logical_or.reduce([own[name].values != near[name].values for name in names])
+    assert 0.0 < differs.mean() < 1.0
+    assert changed(replace(studies[0], other=studies[1])) == pytest.approx(differs.mean(), abs=1e-12)
 
 
 def test_a_budget_whose_first_level_waited_for_other_work_is_used():

@@ -60,7 +60,7 @@ class Late(Budgets):
 
 def test_a_level_that_ends_with_its_time_does_not_end_the_budget(tmp_path: Path, inline: Inline):
     with running(tmp_path, inline) as service:
-        budgets = Late(service.manager, service.ledger, lambda job, seconds: None)
+        budgets = Late(service.manager, service.ledger, lambda *_: None, lambda *_: None)
         assert not Budget(budgets, sweep(), 60.0, None, None).compute(sweep(), 0.0)
 
 
