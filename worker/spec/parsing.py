@@ -88,7 +88,7 @@ def read_file(path: Path) -> object:
         raise _unreadable(f"{path}: a specification file ends in .json or .toml")
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise _unreadable(f"{path}: must be at most {MAX_FILE_BYTES} bytes; give long axes as ranges")
+            raise _unreadable(f"{path}: must be at most {MAX_FILE_BYTES:,} bytes; give long axes as ranges")
         content = path.read_bytes()
     except OSError as error:
         raise _unreadable(f"{path}: {error.strerror or error}") from None
@@ -97,7 +97,7 @@ def read_file(path: Path) -> object:
 
 def _read_toml(content: bytes) -> object:
     if len(content) > MAX_TOML_BYTES:
-        rule = f"a TOML file must be at most {MAX_TOML_BYTES} bytes"
+        rule = f"a TOML file must be at most {MAX_TOML_BYTES:,} bytes"
         raise _unreadable(f"{rule}; give long axes as ranges, or write JSON")
     text = _decoded(content)
     try:

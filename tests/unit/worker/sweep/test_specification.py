@@ -407,8 +407,8 @@ def test_unreadable_text_says(text, expected):
         ("a.toml", b"[model]\n[model]", "a field is given twice, at line 2; give it once"),
         ("a.toml", b"gamma = ", "the text is not TOML"),
         ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
-        ("a.toml", b" " * 1_000_001, "a TOML file must be at most 1000000 bytes; give long axes as "),
-        ("a.json", b" " * 4_000_001, "must be at most 4000000 bytes; give long axes as ranges"),
+        ("a.toml", b" " * 1_000_001, "a TOML file must be at most 1,000,000 bytes; give long axes as "),
+        ("a.json", b" " * 4_000_001, "must be at most 4,000,000 bytes; give long axes as ranges"),
     ],
 )
 def test_unreadable_file_says(tmp_path, name, content, expected):
