@@ -124,14 +124,15 @@ def within(
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         earlier = runner.took(part) if runner.is_done(part) else None
-        show(f"{cells(spec, steps):,} cells{_thinning(steps)}{gap}", max(left, 0.0))
+        said = f"{cells(spec, steps):,} cells{_thinning(steps)}{gap and '; the last level'}{gap}"
+        show(said, max(left, 0.0))
         now = clock()
         # the first level may take all of the time: without it there is no answer
         if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
         took = clock() - now if earlier is None else earlier
         changed = runner.changed() if answer.levels else None
-        gap = "" if changed is None else f"; the last level changed {100.0 * changed:.2g} % of the picture"
+        gap = "" if changed is None else f" changed {100.0 * changed:.2g} % of the picture"
         answer.levels.append(Level(part, steps, cells(spec, steps), took, changed))
         left = (budget - (clock() - began) - reserved) / MARGIN
         timed = [done for done in answer.levels if done.seconds > 0.0]
@@ -146,7 +147,7 @@ def within(
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s is left"
     if left >= LEAST_AUDIT:
-        show(f"audit of the last level{gap}", left)
+        show(f"audit of the last level{gap and ', which'}{gap}", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
         ending = answer.audit or "no audit: it would take longer than is left"
     show(ending, 0.0)
