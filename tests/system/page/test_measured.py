@@ -37,11 +37,15 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         ).wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time\r1,4\r1,0x4"])
         page.locator(".problem", has_text="row 2 must be a number of 0 or more, not '0x4'").wait_for()
+        page.evaluate(DROP, ["run.csv", "\0".join("gamma,flight_time\n1,4\n")])
+        page.locator(".problem", has_text="run.csv: is no text in UTF-8.").wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,4\n1,5,4,2"])
         page.locator(".problem", has_text="run.csv: row 2 has more cells than there are columns").wait_for()
         page.evaluate(DROP, ["run.csv", "gamma,flight_time,frequency\n1,4,0"])
         page.locator(".problem", has_text="frequency of row 1 must be a number above 0").wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,omega,flight_time,\n1,0.6,4,\n1,0.9,4\n1,n/a,4"])
+        page.evaluate(
+            DROP, ["run.csv", 'gamma,"omega\n",flight_time,\n1,0.6,"\n4",\n1,0.9,4\n1,n/a,4 # 5" of']
+        )
         page.locator(".measured", has_text=re.compile("2 of 2 points.*; 1 of another Ω or ξ left")).wait_for()
         page.get_by_text("Measured points", exact=True).press("Enter")
         (tmp_path / "run.csv").write_text(table)

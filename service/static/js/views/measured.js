@@ -103,8 +103,9 @@ export class MeasuredPoints {
 
 /** The rows of a CSV text with both values: numbers by column, NaN where a cell is empty. Throws an Error naming column or row, from 1. */
 function tableOf(text, along, value) {
-  const [names, ...rows] = text.split(/\r\n?|\n/).map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
-    .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"(.*)"$/, "$1")));
+  if (text.includes("\0")) throw new Error("is no text in UTF-8");
+  const [names, ...rows] = text.match(/(?:#.*|"[^"]*"|[^\r\n])+/g)?.map((line) => line.replace(/#.*/, "")).filter((line) => line.trim())
+    .map((line) => line.split(",").map((cell) => cell.trim().replace(/^"([^"]*)"$/, "$1").trim())) ?? [];
   while (names?.at(-1) === "") names.pop(); // below a comma too many
   if (!rows.length) throw new Error("has no rows below a line with the names of its columns");
   if (rows.length > MOST_ROWS) throw new Error(`has more than ${count(MOST_ROWS)} rows`);
