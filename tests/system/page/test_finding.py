@@ -394,8 +394,8 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.locator(".cost", has_text="cells in").wait_for()
         assert page.get_by_label("contact model").input_value() == "soft"
         assert page.locator("[data-field=omega]").first.input_value() == "0.6003"
-        reopen(page, f"{address}/#/explore?contact=soft&penetration=0.01")
-        page.get_by_label("depth").wait_for()
+        reopen(page, f"{address}/#/explore?contact=soft&penetration=0.01&omega=5")
+        page.locator(".closed", has_text="Ω = 5 is outside the limits; 2 is shown.").wait_for()
         assert page.get_by_label("depth").input_value() == "0.01"
         page.get_by_role("link", name="Explore", exact=True).click()
         page.get_by_label("depth").wait_for(state="detached")

@@ -4,7 +4,7 @@ import { cellIn, cellQuery, currentQuery, link, queryChanges, setQuery } from ".
 import { query } from "../lib/api.js";
 import { choice, h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { AXES, EXPLORED, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
+import { AXES, EXPLORED, SYMBOL, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { branchesPath } from "../views/closed-form.js";
@@ -105,7 +105,10 @@ export class Explore extends Cycles {
     const isAnswered = this.described === this.paths().join();
     const isOwn = "model" in contactQuery(contactOf());
     const lowest = isOwn ? isAnswered && this.restEnds : threshold(omega, xi);
-    const sentences = [];
+    const asked = currentQuery();
+    const differs = ([name, value]) => typeof value === "number" && name in asked && Number(asked[name]) !== value;
+    const sentences = Object.entries({ ...this.place, ...contactOf(), periods: longest() }).filter(differs)
+      .map(([name, value]) => `${SYMBOL[name] ?? name} = ${asked[name]} is outside the limits; ${number(value)} is shown.`);
     const fate = `at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}`;
     if (lowest) sentences.push(`Rest ends at Γ = ${number(lowest, 4)} (${isOwn ? "of this contact" : "Eq. 25"}): ${fate}.`);
     if (isAnswered) {
