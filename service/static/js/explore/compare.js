@@ -9,7 +9,7 @@ import { legendEntry } from "../views/cells.js";
 import { Diagram } from "../views/diagram.js";
 import { Modes } from "../views/modes.js";
 import { buildFrame, sourceOf } from "../views/plot-view.js";
-import { ERROR_POLL_MS, MOST_COMPARED, POLL_MS, amount, isGoing, summary, titleOf } from "../views/progress.js";
+import { ERROR_POLL_MS, MOST_COMPARED, POLL_MS, amount, isGoing, shortTitleOf, summary, titleOf } from "../views/progress.js";
 import { Difference } from "./difference.js";
 
 const LAYOUTS = { overlay: "overlaid", side: "side by side", maps: "mode maps", difference: "difference of the first two" };
@@ -96,7 +96,7 @@ export class Compare {
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
       sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid: layout === "difference" ? this.sources[0].grid : this.grid, isFollower: i > 0,
-      prefix: isSide ? `${titleOf(group[0].job)}:   ` : "", extent,
+      prefix: isSide ? `${shortTitleOf(group[0].job)}:   ` : "", extent,
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),
       onLoad: (view) => others(view).forEach(({ plot }) => plot.redraw()), // the window of all data may have grown

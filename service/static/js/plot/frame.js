@@ -25,12 +25,14 @@ export function boxOf(ctx, content, width, height, theme, ratio) {
   };
 }
 
-/** Title and legend from left to right, in as many lines as they need: [{name, drawSymbol, x, line}, …]. */
+/** Parts of the title, three spaces apart, and legend from left to right, in as many lines as they need: [{name, drawSymbol, x, line}, …]. */
 function headingsOf(ctx, { title, legend = [] }, width, theme) {
   ctx.font = `${FONT_SIZE + 1}px ${theme.serif}`;
   let [x, line] = [0, 0];
-  return [...(title ? [[title]] : []), ...legend].map(([name, drawSymbol]) => {
-    const size = ctx.measureText(name).width + (drawSymbol ? LEGEND_SPACE : HEADING_HEIGHT);
+  const parts = title ? title.split(/(?<= {3})/) : [];
+  return [...parts.map((part) => [part]), ...legend].map(([name, drawSymbol], i) => {
+    const space = drawSymbol ? LEGEND_SPACE : HEADING_HEIGHT;
+    const size = ctx.measureText(name).width + (i < parts.length - 1 ? 0 : space);
     if (x && x + size > width - HEADING_MARGIN) [x, line] = [0, line + 1];
     x += size;
     return { name, drawSymbol, x: x - size, line };

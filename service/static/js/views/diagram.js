@@ -14,7 +14,7 @@ import { ClassLegend, swatch } from "./cells.js";
 import { minFlightInput, minFlightOf, sliders } from "./controls.js";
 import { MeasuredPoints } from "./measured.js";
 import { FLIGHT_AXIS, PlotView } from "./plot-view.js";
-import { titleOf } from "./progress.js";
+import { shortTitleOf, titleOf } from "./progress.js";
 
 const HINT = "Point at a cell to read it, press to show its trajectory, drag or turn the wheel to zoom.";
 const MAX_CIRCLES = 200;
@@ -190,7 +190,7 @@ export class Diagram extends PlotView {
 
   #legend() {
     const several = this.#fixed(false);
-    const nameOf = ({ source, fixed }) => [shortened(titleOf(source.job)), ...several.map((axis) => this.textOf({ [axis]: fixed[axis] }))].join(", ");
+    const nameOf = ({ source, fixed }) => [shortTitleOf(source.job), ...several.map((axis) => this.textOf({ [axis]: fixed[axis] }))].join(", ");
     const entries = this.isCompared
       ? this.lines.filter(({ source }, i) => this.lines[i - 1]?.source !== source).map((line) => [nameOf(line), line])
       : this.lines.map((line) => [`ramp ${line.direction}`, line]);
@@ -316,5 +316,3 @@ export function drawThreshold(ctx, box, gamma) {
   const letter = { x: x + 32 < box.left + box.width ? x + 5 : x - 26, y: box.top + 17, colour: box.theme.threshold };
   box.texts.push({ ...letter, text: "Γ", size: 15, italic: true }, { ...letter, text: "th", size: 11, x: letter.x + 11, y: letter.y + 5 });
 }
-
-const shortened = (name) => (name.length > 32 ? `${name.slice(0, 31)}…` : name);

@@ -17,6 +17,8 @@ const PARAMETER = { restitution: "e", penetration: "d", rest_length: "Λ" };
 
 /** A sweep's name, or the beginning of its id. */
 export const titleOf = (job) => (job.name.trim() ? job.name : "") || `Sweep ${job.id.slice(0, 8)}`;
+/** The same on a plot, where a long one would be cut. */
+export const shortTitleOf = (job) => titleOf(job).replace(/^(.{31})..+/su, "$1…");
 
 /** What the list and the page of sweeps show of a job. `on`: {change(job), delete(), error(error)}, of its buttons. */
 export class JobSummary {
