@@ -628,7 +628,10 @@ def test_the_plot_ends_above_a_cell_that_is_shown_and_stays_in_its_corner(showin
             plot.click(position={"x": across * box["width"], "y": 300})
             page.locator(".trajectory").get_by_text(motion).first.wait_for()
             drawer = page.locator(".trajectory").bounding_box()
-            for seen in (plot, page.locator(".panel .readout")):  # nothing of them is covered
+            for seen in (
+                plot,
+                *(page.locator(f".panel .{part}") for part in ("readout", "legend")),
+            ):  # nothing of them is covered
                 assert seen.bounding_box()["y"] + seen.bounding_box()["height"] < drawer["y"]
         side = ("x", "y", "width")
         assert [plot.bounding_box()[name] for name in side] == [box[name] for name in side]
