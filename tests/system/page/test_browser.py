@@ -213,6 +213,21 @@ def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: st
         page.goto(coarsest)  # opened on purpose: it stays
         page.get_by_text("Show the finest level of its time").click()
         page.locator(".amount", has_text=cells).wait_for()
+        for _ in range(3):
+            page.go_back()
+        page.locator(".cost", has_text="30,000 cells").wait_for()  # of what was submitted, not of a level
+
+
+def test_a_level_that_is_computed_is_shown_until_it_is_done(browser: Any, address: str, loop: str):
+    budget = {"id": "b", "doing": "81 cells", "computing": loop, "answer": "0" * 32, "seconds_left": 9}
+    job = httpx2.get(f"{address}/v1/jobs/{loop}", timeout=DEADLINE).json()
+    with opened(browser, address) as page:
+        answer = {"json": job | {"budget": budget | {"over": False, "error": None}}}
+        page.route(f"**/v1/jobs/{loop}", lambda route: route.fulfill(**answer))
+        page.goto(view(address, loop))
+        page.locator(".notice", has_text="81 cells, 9 s left").wait_for()
+        with page.expect_request(f"**/v1/jobs/{loop}"):  # again: the page is not that of the answer
+            pass
 
 
 #: Kinds of study as the form names them, what is typed into which field, and what is then submitted.

@@ -74,9 +74,9 @@ export class JobView {
     if (!shared) this.#pollAfter(isGoing(job) ? POLL_MS : IDLE_POLL_MS);
   }
 
-  /** While a budget goes on, the finest level that is done takes the place of this one. Returns whether it does. */
+  /** While a budget goes on, the finest level that is done takes the place of a coarser one. Returns whether it does. */
   #follows({ budget }) {
-    const isAnswer = [null, this.id].includes(budget?.answer ?? null);
+    const isAnswer = [null, this.id].includes(budget?.answer ?? null) || budget.computing === this.id;
     const follows = !isAnswer && (this.wasAnswer || !budget.over);
     this.wasAnswer = isAnswer;
     if (follows) location.replace(link(["job", budget.answer, ...currentAddress().path.slice(2)], currentQuery()));
