@@ -99,6 +99,7 @@ export class SweepForm {
     this.isLoaded = false;
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
     const { figure, from, field, model, restitution, penetration } = currentQuery();
+    const { state: submitted } = history; // to which the browser's Back has returned
     const isOutdated = () => this.signal.aborted || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       if (!this.form) {
@@ -108,7 +109,7 @@ export class SweepForm {
         this.#fill(this.studies.rest.begin);
       }
       let missing = null; // the form has the default values then
-      const job = from && (await requestJson(`/v1/jobs/${from}`).catch((error) => {
+      const job = from && !submitted && (await requestJson(`/v1/jobs/${from}`).catch((error) => {
         if (error.status !== 404) throw error;
         missing = error;
       }));
@@ -117,7 +118,7 @@ export class SweepForm {
       if (figure && !preset) missing = new Error(`There is no sweep of a figure ${figure}.`);
       this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
-      const spec = (job || preset)?.spec;
+      const spec = submitted ?? (job || preset)?.spec;
       const axes = axesOf(currentQuery(), spec);
       const window = job && Object.keys(axes).length > 0 && { ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from };
       this.source = { ...spec, ...window };
@@ -204,10 +205,11 @@ export class SweepForm {
   async #submit(parameters = {}) {
     this.button.disabled = true;
     try {
-      const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body: this.#read() });
+      const body = this.#read();
+      const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body });
       announce("Submitted.");
       if (this.signal.aborted) return;
-      history.replaceState(null, "", link(["new"], { from: job.id })); // the browser's back button returns to what was submitted
+      history.replaceState(body, "", link(["new"], { from: job.id })); // of a budget, the job is a coarse level
       navigate(["job", job.id]);
     } catch (error) {
       this.#showError(error);
