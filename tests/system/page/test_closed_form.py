@@ -142,6 +142,16 @@ def test_an_event_is_read_where_it_is_marked_and_its_spring_explored(browser: An
         assert any(re.match(r"fold \(1, 1\) · Γ = 0\.\d+ · φ = .* · Ω = .*; Ω = ", text) for text in texts)
 
 
+def test_a_branch_is_read_between_its_points(browser: Any, address: str):
+    cycles = {"omega": 0.8, "xi": 0.05, "protocol": {"kind": "orbits"}, "modes": ["1-2"], "points": 20}
+    with opened(browser, f"{address}/#/job/{done(address, cycles)}/cycles") as page:
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        texts = [readout_at(page, at) for at in branch_pixels(page)[::40]]
+        assert sum("(1, 2)" in text for text in texts) > 0.6 * len(texts), (
+            texts
+        )  # names of events are beside it
+
+
 def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str):
     """An unstable cycle that is pressed moves on the sweep's contact."""
     soft = done(address, LOOP | {"name": "Soft", "omega": [0.55, 0.6, 0.65], "model": {"kind": "soft"}})

@@ -4,7 +4,7 @@ import { currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, contactQuery, cycleText, hasOwnCycles, isIdeal, startName } from "../lib/physics.js";
+import { SYMBOL, clamp, contactQuery, cycleText, hasOwnCycles, isIdeal, startName } from "../lib/physics.js";
 import { circle, curve, disc, isInBox, legendLine, polyline } from "../plot/drawing.js";
 
 const FOLD_MODES = "1-1,1-2";
@@ -177,14 +177,20 @@ function drawEvent(ctx, box, [px, py], text, taken, rings) {
   box.texts.push({ text, x: label.left, y: label.top + 7, italic: true, colour: box.theme.branch });
 }
 
-/** The cycle nearer than NEAR_PX to a position in axis values, null if there is none; first the event marked there, with the cycle next to it as its `start`. */
+/** The cycle next to which a branch passes a position in axis values within NEAR_PX, null if none does; first the event marked there, with the cycle next to it as its `start`. */
 export function nearestCycle({ branches, events, along }, box, x, y, pixelOf = overAxis(along)) {
   const [pixel, px, py] = [pixelOf(box), box.x.pixel(x), box.y.pixel(y)];
   const distance = ([left, top]) => Math.hypot(left - px, top - py);
-  const nearest = (items, limit) => items.filter(({ violations }) => !violations).map((item) => [distance(pixel(item)), item])
-    .filter(([length]) => length < limit).sort(([a], [b]) => a - b)[0]?.[1];
-  const event = nearest(events, RING_PX);
-  return event ? { ...event, start: nearest(branches.flat(), Infinity) } : (nearest(branches.flat(), NEAR_PX) ?? null);
+  const nearest = (items, limit) => items.filter(([length, { violations }]) => length < limit && !violations).sort(([a], [b]) => a - b)[0]?.[1];
+  const onItself = (item) => [distance(pixel(item)), item];
+  const between = (branch) => branch.map((cycle, i) => {
+    const from = [branch[i - 1], cycle].every((end) => end?.violations === 0) ? branch[i - 1] : cycle;
+    const [[ax, ay], [bx, by]] = [from, cycle].map(pixel);
+    const part = clamp(((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / Math.hypot(bx - ax, by - ay) ** 2 || 0, 0, 1);
+    return [distance([ax + part * (bx - ax), ay + part * (by - ay)]), part < 0.5 ? from : cycle];
+  });
+  const event = nearest(events.map(onItself), RING_PX);
+  return event ? { ...event, start: nearest(branches.flat().map(onItself), Infinity) } : (nearest(branches.flatMap(between), NEAR_PX) ?? null);
 }
 
 /** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first. */
