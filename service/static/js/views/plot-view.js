@@ -30,7 +30,7 @@ export const sourceOf = (job, number = 1) => ({
 /** Plots end at the window's lower edge, or above a cell's motion, whatever stands above them. */
 const measure = (name, selector, side) => document.body.style.setProperty(name, `${document.querySelector(selector)?.[side] ?? 0}px`);
 new ResizeObserver(() => {
-  measure("--above", ".panels", "offsetTop");
+  measure("--above", ".panels figure", "offsetTop");
   measure("--below", ".trajectory", "offsetHeight");
 }).observe(document.body);
 
