@@ -106,8 +106,7 @@ export class Explore extends Cycles {
     const isOwn = "model" in contactQuery(contactOf());
     const lowest = isOwn ? isAnswered && this.restEnds : threshold(omega, xi);
     const asked = currentQuery();
-    const differs = ([name, value]) => typeof value === "number" && name in asked && Number(asked[name]) !== value;
-    const sentences = Object.entries({ ...this.place, ...contactOf(), periods: longest() }).filter(differs)
+    const sentences = Object.entries({ ...this.place, ...contactOf(), periods: longest() }).filter(([name, value]) => name in asked && Number(asked[name]) !== value)
       .map(([name, value]) => `${SYMBOL[name] ?? name} = ${asked[name]} is outside the limits; ${number(value)} is shown.`);
     const fate = `at Γ = ${number(gamma)} a spring at rest ${gamma > lowest ? "takes off" : "stays on the plate"}`;
     if (lowest) sentences.push(`Rest ends at Γ = ${number(lowest, 4)} (${isOwn ? "of this contact" : "Eq. 25"}): ${fate}.`);

@@ -22,11 +22,7 @@ const NUMBER_INPUT = { type: "text", inputmode: "decimal", autocomplete: "off", 
 const TEXT_INPUT = { inputmode: "text", maxlength: 200, size: 32 };
 
 /** Typed text as a number; as it is where it is none, for the service to refuse; null where it is empty. */
-function parseNumber(text) {
-  const trimmed = text.trim().replaceAll("−", "-");
-  if (trimmed === "") return null;
-  return Number.isFinite(numberIn(trimmed)) ? numberIn(trimmed) : trimmed;
-}
+const parseNumber = (text) => (Number.isFinite(numberIn(text)) ? numberIn(text) : text.trim() || null);
 
 const options = (texts) => Object.entries(texts).map(([value, text]) => h("option", { value }, text));
 const labelled = (text, control) => h("label", {}, h("span", {}, text), control);

@@ -99,7 +99,6 @@ export class SweepForm {
     this.isLoaded = false;
     if (this.form) [this.button.disabled, this.cost.textContent] = [true, "…"];
     const { figure, from, field, model, restitution, penetration } = currentQuery();
-    const { state: submitted } = history; // to which the browser's Back has returned
     const isOutdated = () => this.signal.aborted || currentQuery().figure !== figure || currentQuery().from !== from;
     try {
       if (!this.form) {
@@ -109,7 +108,7 @@ export class SweepForm {
         this.#fill(this.studies.rest.begin);
       }
       let missing = null; // the form has the default values then
-      const job = from && !submitted && (await requestJson(`/v1/jobs/${from}`).catch((error) => {
+      const job = from && !history.state && (await requestJson(`/v1/jobs/${from}`).catch((error) => {
         if (error.status !== 404) throw error;
         missing = error;
       }));
@@ -118,7 +117,7 @@ export class SweepForm {
       if (figure && !preset) missing = new Error(`There is no sweep of a figure ${figure}.`);
       this.preset.value = preset?.key ?? "";
       this.isLoaded = true;
-      const spec = submitted ?? (job || preset)?.spec;
+      const spec = history.state ?? (job || preset)?.spec; // Back has returned to what was submitted
       const axes = axesOf(currentQuery(), spec);
       const window = job && Object.keys(axes).length > 0 && { ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from };
       this.source = { ...spec, ...window };
@@ -205,11 +204,10 @@ export class SweepForm {
   async #submit(parameters = {}) {
     this.button.disabled = true;
     try {
-      const body = this.#read();
-      const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body });
+      const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body: this.#read() });
       announce("Submitted.");
       if (this.signal.aborted) return;
-      history.replaceState(body, "", link(["new"], { from: job.id })); // of a budget, the job is a coarse level
+      history.replaceState(this.#read(), "", link(["new"], { from: job.id })); // of a budget, the job is a coarse level
       navigate(["job", job.id]);
     } catch (error) {
       this.#showError(error);

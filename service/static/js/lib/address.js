@@ -18,9 +18,7 @@ export function link(path, query = {}) {
   return `#/${path.join("/")}${text ? `?${text}` : ""}`;
 }
 
-export function navigate(path, query = {}) {
-  location.hash = link(path, query);
-}
+export const navigate = (path, query = {}) => { location.hash = link(path, query); };
 
 // Browsers limit how often the address may change; a slider changes it hundreds of times.
 const write = debounced(120, () => flush());

@@ -82,9 +82,7 @@ export function fileName(job, content, extension) {
   return `${name || job.id.slice(0, 8)}-${content}.${extension}`;
 }
 
-export function announce(text) {
-  document.getElementById("status").textContent = text;
-}
+export const announce = (text) => { document.getElementById("status").textContent = text; };
 
 /** `work`, called only after `milliseconds` without another call. */
 export function debounced(milliseconds, work) {

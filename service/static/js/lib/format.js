@@ -14,7 +14,7 @@ export function number(value, digits = 5) {
 }
 
 /** The number that a decimal text stands for; NaN of any other, such as 0x10. */
-export const numberIn = (text) => (/^[-+]?[\d.]+(e[-+]?\d+)?$/i.test(text) ? Number(text) : NaN);
+export const numberIn = (text) => (/^[-+−]?[\d.]+(e[-+−]?\d+)?$/i.test(text.trim()) ? Number(text.replaceAll("−", "-")) : NaN);
 
 /** A text of numbers as programs read them: 2.38·10⁻⁷ becomes 2.38e-7, and "–" is left out. */
 export const plain = (text) => text.replace(/^–$/, "").replaceAll("−", "-")

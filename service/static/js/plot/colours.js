@@ -24,9 +24,7 @@ export const numberedColour = (id, dark) => (palette.attractors[id - 1] ?? palet
 /** The colour of the attractor of a basin with this number from 1: there colours are used again. */
 export const attractorColour = (id, dark) => numberedColour(((id - 1) % COLOURED) + 1, dark);
 
-export function onThemeChange(listener, signal) {
-  matchMedia(DARK).addEventListener("change", listener, { signal });
-}
+export const onThemeChange = (listener, signal) => matchMedia(DARK).addEventListener("change", listener, { signal });
 
 // The hue of a mode is its number of plate periods; lighter shades have fewer bounces than periods, darker ones more.
 // Cells of one colour form a class: an outcome code, or FIRST plus an index of hue and shade.

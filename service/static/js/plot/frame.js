@@ -29,10 +29,9 @@ export function boxOf(ctx, content, width, height, theme, ratio) {
 function headingsOf(ctx, { title, legend = [] }, width, theme) {
   ctx.font = `${FONT_SIZE + 1}px ${theme.serif}`;
   let [x, line] = [0, 0];
-  const parts = title ? title.split(/(?<= {3})/) : [];
-  return [...parts.map((part) => [part]), ...legend].map(([name, drawSymbol], i) => {
-    const space = drawSymbol ? LEGEND_SPACE : HEADING_HEIGHT;
-    const size = ctx.measureText(name).width + (i < parts.length - 1 ? 0 : space);
+  const parts = title ? title.split(/(?<= {3})/).map((part, i, all) => (i < all.length - 1 ? [part, null, 0] : [part])) : [];
+  return [...parts, ...legend].map(([name, drawSymbol, space = drawSymbol ? LEGEND_SPACE : HEADING_HEIGHT]) => {
+    const size = ctx.measureText(name).width + space;
     if (x && x + size > width - HEADING_MARGIN) [x, line] = [0, line + 1];
     x += size;
     return { name, drawSymbol, x: x - size, line };

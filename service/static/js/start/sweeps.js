@@ -222,6 +222,4 @@ const introduction = () => h("section", { className: "intro", hidden: true },
   h("p", {}, h("a", { className: "button", href: link(["explore"]) }, "Explore"), " shows one spring move, its cycles and thresholds, without computing a sweep."));
 
 /** Change a text that is announced, only where it differs. */
-function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
-}
+const setText = (element, text) => element.textContent === text || Object.assign(element, { textContent: text });

@@ -182,15 +182,15 @@ export function nearestCycle({ branches, events, along }, box, x, y, pixelOf = o
   const [pixel, px, py] = [pixelOf(box), box.x.pixel(x), box.y.pixel(y)];
   const distance = ([left, top]) => Math.hypot(left - px, top - py);
   const nearest = (items, limit) => items.filter(([length, { violations }]) => length < limit && !violations).sort(([a], [b]) => a - b)[0]?.[1];
-  const onItself = (item) => [distance(pixel(item)), item];
   const between = (branch) => branch.map((cycle, i) => {
     const from = [branch[i - 1], cycle].every((end) => end?.violations === 0) ? branch[i - 1] : cycle;
     const [[ax, ay], [bx, by]] = [from, cycle].map(pixel);
     const part = clamp(((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / Math.hypot(bx - ax, by - ay) ** 2 || 0, 0, 1);
     return [distance([ax + part * (bx - ax), ay + part * (by - ay)]), part < 0.5 ? from : cycle];
   });
-  const event = nearest(events.map(onItself), RING_PX);
-  return event ? { ...event, start: nearest(branches.flat().map(onItself), Infinity) } : (nearest(branches.flatMap(between), NEAR_PX) ?? null);
+  const event = nearest(events.map((marked) => [distance(pixel(marked)), marked]), RING_PX);
+  const cycles = branches.flatMap(between);
+  return event ? { ...event, start: nearest(cycles, Infinity) } : (nearest(cycles, NEAR_PX) ?? null);
 }
 
 /** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first. */

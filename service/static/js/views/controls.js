@@ -45,11 +45,11 @@ export function queryNumber(name, otherwise, { min = 0, max = Number.MAX_VALUE }
 /** An input for a number from `min` to `max`, which `take(value)` gets; of another text it says why it is none. */
 function typedNumber(take, { min = -Infinity, max = Infinity }, attributes) {
   const onchange = ({ target }) => {
-    const text = target.value.trim().replaceAll("−", "-");
+    const text = target.value.trim();
     const value = numberIn(text);
     const lowest = min > -Infinity ? ` of ${min} or more` : "";
     const limits = max < Infinity ? ` from ${min} to ${max}` : lowest;
-    const rule = /^-?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
+    const rule = /^[-−]?\d*,\d+$/.test(text) ? `Write a decimal point, not a comma: ${text.replace(",", ".")}` : `Type a number${limits}.`;
     target.setCustomValidity(Number.isFinite(value) && value >= min && value <= max ? "" : rule);
     if (target.reportValidity()) take(value);
   };

@@ -73,12 +73,11 @@ function failures(chunks) {
 }
 
 function selection({ model, reason, tolerance, table: rows }) {
-  const cell = (value) => (value === null ? "–" : number(value, 3));
   return h("section", {},
     h("h2", {}, `Selected model: ${model}`),
     h("p", {}, `${reason} (tolerance ${number(tolerance)} rad).`),
     table("Comparison of the models", ["model", "µs per cell per plate period", "median (rad)", "95 % (rad)", "cells"],
-      rows.map((row) => [row.model, cell(row.cost), cell(row.median), cell(row.percentile_95), cell(row.cells)])));
+      rows.map((row) => [row.model, ...[row.cost, row.median, row.percentile_95, row.cells].map((value) => number(value, 3))])));
 }
 
 /** A button that has workers audit the job: how many of its cells a longer computation would change. */

@@ -39,9 +39,8 @@ export class JobView {
       if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
     };
     const rename = workButton("✎", ask, this.problem.show, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
-    const duplicate = h("a", { href: link(["new"], { from: this.id }) }, "Duplicate");
     const { progress, actions, about, notice } = this.summary;
-    const [bar, line] = [[this.heading, progress, h("div", { className: "actions" }, duplicate, rename, actions)], [about, notice, this.settling, this.problem.element]];
+    const [bar, line] = [[this.heading, progress, h("div", { className: "actions" }, h("a", { href: link(["new"], { from: this.id }) }, "Duplicate"), rename, actions)], [about, notice, this.settling, this.problem.element]];
     Object.assign(this, buildFrame(root, { bar, line, tabs: this.tabs }));
     this.trajectory = new TrajectoryPanel(this.trajectorySection, signal, () => this.#closeTrajectory());
     addEventListener("keydown", ({ key }) => key === "Escape" && this.cell && this.#closeTrajectory(), { signal });

@@ -54,8 +54,7 @@ export class MeasuredPoints {
   }
 
   #keep(table) {
-    if (table) kept.set(this.key, table);
-    else kept.delete(this.key);
+    kept[table ? "set" : "delete"](this.key, table);
     this.problem.show(null);
     if (this.view.isLoaded) this.view.draw();
   }
