@@ -197,7 +197,7 @@ def _sentence(
     away = np.concatenate([*moved.values(), []])
     most = np.max(away, where=np.isfinite(away), initial=-1.0)
     bound = _UPWARDS.create_decimal(f"{most:.9g}").normalize()  # without the rounding of a difference
-    threshold = "no threshold moves" + (f" by more than {bound:f}" if most > 0.0 else "")
+    threshold = "no threshold in both moves" + (f" by more than {bound:f}" if most > 0.0 else "")
     threshold = threshold if most >= 0.0 else "there is no threshold in both"
     if not shared.any():
         threshold = "no frequency is in both"

@@ -48,7 +48,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     np.testing.assert_allclose(found.up_moved, [np.nan, moved, np.nan, np.nan])
     cells = "the cells" if known.all() else f"the {known.sum()} of {known.size} cells of both"
     share = f"At ξ = 0.26, {100 * equal[known].mean():.4g} % of {cells} have the same mode"
-    most = f"no threshold moves by more than {moved:.2g} at the 1 of 4 frequencies that both have"
+    most = f"no threshold in both moves by more than {moved:.2g} at the 1 of 4 frequencies that both have"
     assert found.attrs["sentence"] == f"{share}; {most}."
     assert all(f"{part}<" in drawn for part in (f"{share};", f"{most}."))
     assert "rest, where modes differ" in drawn
@@ -57,7 +57,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     assert apart.attrs["sentence"] == "No cell of this sweep is within the axes of the other."
     assert (alone.differs == 0).all()
     assert "other_label" not in alone
-    assert same.attrs["sentence"] == "100 % of the cells have the same mode; no threshold moves."
+    assert same.attrs["sentence"] == "100 % of the cells have the same mode; no threshold in both moves."
 
 
 def test_the_rounding_of_a_grid_is_no_move():
@@ -66,10 +66,10 @@ def test_the_rounding_of_a_grid_is_no_move():
 
 @for_each(("moved", "bound"), [(0.0134, "0.014"), (1.213 - 1.2, "0.013"), (0.0991, "0.1"), (123.0, "130")])
 def test_the_sentence_does_not_say_too_much(moved: float, bound: str):
-    """Of 20,001 cells one differs; thresholds move by `moved`."""
+    """Of 20,001 cells one differs; a threshold moves by `moved`, and one is found in one sweep alone."""
     same = np.arange(20_001) > 0
-    found = _sentence(same, np.ones_like(same), {"up_moved": np.array([moved])}, np.array([True]))
+    found = _sentence(same, np.ones_like(same), {"up_moved": np.array([moved, np.nan])}, np.ones(2, bool))
     share = "99.99 % of the cells have the same mode"
-    assert found == f"{share}; no threshold moves by more than {bound}."
+    assert found == f"{share}; no threshold in both moves by more than {bound}."
     found = _sentence(same, same, {"up_moved": np.array([np.nan])}, np.array([False]))
     assert found.endswith("; no frequency is in both.")
