@@ -168,6 +168,8 @@ def put(url: str, key: str, content: bytes) -> None:
         return
     with replacing(Path(url, key)) as file:
         file.write(content)
+        if Path(url, key).is_dir():
+            clear(Path(url, key))
 
 
 def write_partial(url: str, content: bytes) -> Path:
@@ -177,7 +179,7 @@ def write_partial(url: str, content: bytes) -> Path:
     """
     path = Path(url, PARTIAL, f"{uuid4().hex}.partial")
     refuse_links(url, f"{PARTIAL}/{path.name}")
-    path.parent.mkdir(exist_ok=True)  # not the store itself: if missing, it is being removed
+    _make_folder(path.parent)  # not the store itself: if missing, it is being removed
     try:
         with synced(path) as file:
             file.write(content)
@@ -188,15 +190,33 @@ def write_partial(url: str, content: bytes) -> Path:
 
 
 def place(url: str, partial: Path, key: str) -> None:
-    """Give a partial file its key, replacing any file; creates missing folders below the store's."""
+    """Give a partial file its key, replacing anything; creates missing folders below the store's."""
     path = Path(url, key)
     refuse_links(url, key)
     try:
         partial.replace(path)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         for folder in reversed(path.parents[: key.count("/")]):
-            folder.mkdir(exist_ok=True)
+            _make_folder(folder)
+        if path.is_dir():
+            clear(path)
         partial.replace(path)
+
+
+def _make_folder(folder: Path) -> None:
+    """Create a folder of a store, also in the place of a file."""
+    if not folder.is_dir():
+        with suppress(OSError):  # without the file, or if another thread was first
+            folder.unlink()
+        folder.mkdir(exist_ok=True)
+
+
+def clear(path: Path) -> None:
+    """Remove a file, a link, or a folder with all in it, if it exists."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def make_place(url: str) -> None:
@@ -225,11 +245,11 @@ def write_fault(url: str) -> str | None:
 
 def delete(url: str, key: str) -> None:
     """Remove a key of a store, if it exists."""
-    with suppress(FileNotFoundError):
+    with suppress(FileNotFoundError, NotADirectoryError):
         if in_bucket(url):
             _bucket(url).delete(key)
         elif _link(Path(url, key), key.count("/")) is None:
-            Path(url, key).unlink()
+            clear(Path(url, key))
 
 
 def names_in(url: str) -> list[str]:
@@ -252,14 +272,13 @@ def remove(url: str) -> None:
             bucket.delete([entry["path"] for entry in entries])
         return
     renamed = Path(f"{url}{DELETED}")
-    for link in filter(Path.is_symlink, (renamed, Path(url))):
-        link.unlink()  # what it leads to is another's
-    if renamed.exists():  # of an interrupted removal
-        shutil.rmtree(renamed)
+    if Path(url).is_symlink():
+        Path(url).unlink()  # what it leads to is another's
+    clear(renamed)  # of an interrupted removal
     with suppress(FileNotFoundError):
         Path(url).rename(renamed)
         sync(renamed.parent)
-        shutil.rmtree(renamed)
+        clear(renamed)
 
 
 @lru_cache(maxsize=256)

@@ -89,7 +89,7 @@ def sweep_leftovers(url: str, *, done: bool = False) -> None:
     leftovers = [] if partial.is_symlink() else list(partial.glob("*.partial"))
     leftovers += Path(url).glob(".*.partial")  # of checkpoints
     for path in leftovers:
-        path.unlink(missing_ok=True)
+        backend.clear(path)
 
 
 def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:

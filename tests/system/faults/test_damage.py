@@ -1,5 +1,6 @@
 """Stored bytes that are flipped, truncated or deleted: reported, never returned as data, computed again."""
 
+import errno
 import json
 import os
 import random
@@ -23,6 +24,7 @@ from service.cli.doctor import verify
 from service.jobs import supervisor
 from service.settings import Settings
 from worker import store
+from worker.store import backend
 from worker.store import store as stored
 from worker.sweep import SweepSpec, schema
 from worker.sweep.plan import make_plan
@@ -196,6 +198,13 @@ def swap_metadata(ours: Path, theirs: Path, chance: random.Random) -> None:
     shutil.copy(theirs / "zarr.json", ours / "zarr.json")
 
 
+def make_folders(ours: Path, theirs: Path, chance: random.Random) -> None:
+    """Folders stand in the place of the metadata and a chunk."""
+    for path in (ours / "zarr.json", chance.choice(sorted(ours.glob("flight_time/c.*")))):
+        path.unlink()
+        (path / "inside").mkdir(parents=True)
+
+
 def swap_everything(ours: Path, theirs: Path, chance: random.Random) -> None:
     shutil.rmtree(ours)
     shutil.copytree(theirs, ours)
@@ -206,7 +215,7 @@ def test_files_that_are_not_the_jobs_own_are_never_answered(tmp_path: Path):
     chance = random.Random(8)
     harms = [
         swap_a_file, swap_a_chunk, move_a_chunk, edit_numbers, edit_type, edit_shape, nest, swap_metadata,
-        swap_everything,
+        swap_everything, make_folders,
     ]  # fmt: skip
     other = SWEEP | {"gamma": SWEEP["gamma"] | {"start": 0.9}}
     with running(tmp_path) as service:
@@ -290,16 +299,22 @@ def test_of_every_study_only_damaged_chunks_are_computed_again(
         assert len(set(service.executor.tried)) == 2  # perhaps in several slices
 
 
-def test_the_doctor_goes_on_after_damage_that_cannot_be_removed(tmp_path: Path):
+def test_the_doctor_goes_on_after_damage_that_cannot_be_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     with running(tmp_path) as service:
         jobs = [service.submit(SWEEP | {"keep": keep}) for keep in (1, 2)]
         chunks = [service.store(here) / "flight_time/c.0.0.0.0.0" for here in jobs]
     for chunk in chunks:
-        chunk.unlink()
-        chunk.mkdir()
+        chunk.write_bytes(b"")
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(backend, "clear", refuse)
     found = [finding.text for finding in verify(Settings(data=tmp_path), None) if not finding.ok]
     assert len(found) == 2
-    assert all(str(chunk) in "".join(found) for chunk in chunks)
+    assert all(str(chunk.parents[1]) in "".join(found) for chunk in chunks)
 
 
 def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):

@@ -69,10 +69,21 @@ def test_a_key_is_written_whole_or_not_at_all(url: str):
     backend.put(url, "c", b"")
     assert (backend.read_key(url, "folder/b"), backend.read_key(url, "c")) == (b"new", b"")
     before = below(url)
-    for key, error in (("folder", IsADirectoryError), ("none/c", FileNotFoundError)):
-        with pytest.raises(error):
-            backend.put(url, key, b"new")
+    with pytest.raises(FileNotFoundError):
+        backend.put(url, "none/c", b"new")
     assert below(url) == before
+    backend.put(url, "folder", b"new")  # its files are no part of a store
+    assert backend.read_key(url, "folder") == b"new"
+
+
+def test_files_and_folders_make_room_for_what_is_written_and_removed(url: str):
+    Path(url, backend.PARTIAL).write_bytes(b"")
+    backend.place(url, backend.write_partial(url, b"new"), "folder")
+    backend.place(url, backend.write_partial(url, b"new"), "a/c")
+    assert (backend.read_key(url, "folder"), backend.read_key(url, "a/c")) == (b"new", b"new")
+    for key in ("folder/b", "folder", "a"):
+        backend.delete(url, key)
+    assert backend.names_in(url) == [backend.PARTIAL]
 
 
 def test_places_are_made_and_hold_names(url: str, tmp_path: Path):
