@@ -49,8 +49,9 @@ class StoresMarker:
             marker = store.read_marker(self._url)
             if marker not in (None, "", ours) and (made or not self._within_data):
                 raise LedgerUnusable(self._foreign(str(marker)))
-            # a marker that a power cut left empty is ours if the ledger knows every store beside it
-            emptied = marker == "" and not find_unknown(self._ledger, self._settings)
+            # a marker that a power cut left empty is ours, unless the ledger knows none of the stores beside it
+            stored = _stored(self._settings)
+            emptied = marker == "" and (not stored or stored != find_unknown(self._ledger, self._settings))
             if marker != ours and (adopting or not made or emptied):
                 store.write_marker(self._url, ours)
             elif marker != ours:
