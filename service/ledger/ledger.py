@@ -6,6 +6,7 @@ is checked when it is opened. Nothing is written to a damaged file.
 
 import fcntl
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -55,7 +56,7 @@ class Ledger(AbstractContextManager["Ledger"]):
         self._stores_fault: str | None = None  # what is wrong with the stores, as of the last check
         self._closed = False
         with ExitStack() as opened:
-            opened.enter_context(locked(path))
+            self._lock = opened.enter_context(locked(path))
             _check_not_emptied(path, has_stores)
             try:
                 self._writer = opened.enter_context(_connected(path))
@@ -108,12 +109,14 @@ class Ledger(AbstractContextManager["Ledger"]):
                 raise
 
     def check(self) -> None:
-        """Raise LedgerUnavailable while the file is damaged or the stores are missing.
+        """Raise LedgerUnavailable while the file is damaged or unlocked, or the stores are missing.
 
         Called at every heartbeat, and before anything is stored.
         """
         try:
             self.check_stores()  # without a lock: a file system that hangs stops only this thread
+            if not self._closed and not os.fstat(self._lock.fileno()).st_nlink:
+                raise LedgerUnavailable(UNLOCKED)
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)
@@ -217,6 +220,11 @@ class Ledger(AbstractContextManager["Ledger"]):
 
 #: The remedy for an unusable ledger, for operators.
 MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
+
+UNLOCKED: Final = (
+    "the lock of the data folder was removed: another service may use it; make sure that none does, and start "
+    "this one again"
+)
 
 NOT_LOCAL: Final = (
     "it must not be used from two machines; keep the ledger on a local disk (BOUNCE_DATA), "

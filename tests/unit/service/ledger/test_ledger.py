@@ -13,6 +13,7 @@ from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger import backup
 from service.ledger.ledger import Ledger
 from service.ledger.model import JobRecord
+from service.ledger.paths import lock_of
 from service.settings import Settings
 
 
@@ -46,6 +47,18 @@ def test_what_is_read_at_once_is_of_one_moment(ledger: Ledger):
             writing.mark_done(job, reports(0, 1))
         assert before.find(job.id) == job
     assert current(ledger).chunks_done == 2
+
+
+def test_without_its_lock_nothing_is_written(ledger: Ledger):
+    """Another service may use the folder then."""
+    accept(ledger)
+    lock_of(ledger.path).unlink()
+    with pytest.raises(LedgerUnavailable, match="the lock of the data folder was removed"):
+        ledger.check()
+    assert "lock" in (ledger.fault() or "")
+    with pytest.raises(LedgerUnavailable), ledger.writing():
+        pass
+    assert current(ledger).chunks_done == 0  # it can be read
 
 
 def test_a_closed_ledger_is_not_opened_again(tmp_path: Path):
