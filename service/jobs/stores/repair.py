@@ -5,7 +5,6 @@ version is not repaired, because this release would add other numbers to its res
 given up, and read as missing.
 """
 
-import logging
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
@@ -16,8 +15,6 @@ from service.ledger.ledger import Ledger
 from service.ledger.model import Failure, JobRecord
 from worker import store
 from worker.store import ChunkCoords
-
-log = logging.getLogger(__name__)
 
 #: Damaged chunks described in a message; the others are only counted.
 MAX_DESCRIBED: Final = 3
@@ -84,9 +81,6 @@ def _invalidate(ledger: Ledger, job: JobRecord, prepared: PreparedJob, chunks: S
             unmarked = writing.lose(current, lost)
         else:
             unmarked = writing.unmark(current, chunks)
-    if unmarked:
-        fate = "given up" if job.outdated else "computed again"
-        log.error("job %s: chunks %s are damaged in the store and %s", job.id, unmarked, fate)
     for chunk in unmarked:
         store.discard(prepared.store_url, prepared.layout, prepared.plan[chunk])
     return unmarked
