@@ -124,7 +124,9 @@ class SchedulerConnection:
             )
         except (*NO_SCHEDULER, RuntimeError) as error:  # the last: TLS is set, and the address is not tls://
             self._target.unanswered()
-            raise ClusterLost(f"no scheduler answers at {address}: {error}") from error
+            without = isinstance(error, TypeError) and str(address).startswith("tls://")
+            reason = "it needs certificates, see BOUNCE_SCHEDULER_CA" if without else error
+            raise ClusterLost(f"no scheduler answers at {address}: {reason}") from error
 
     def _register_at_first(self, timeout: float) -> None:
         """Register, trying again if a worker dies meanwhile. Raises ClusterLost after `timeout` seconds."""
