@@ -11,7 +11,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Final, NamedTuple, cast
 
-from service.errors import LedgerUnavailable
+from service.errors import LedgerUnavailable, LedgerUnusable
 from service.jobs.prepare import JobPreparer, ModelChoices
 from service.jobs.retry import FAILED_TRIES, Action, RetryPolicy
 from service.jobs.run import ChunkMetrics, JobRun, text_of
@@ -48,6 +48,9 @@ RETRY_SECONDS: Final = 30.0
 IDLE_SHARE: Final = 0.25
 #: The reason that readiness and jobs give.
 SILENT_BUCKET: Final = "the bucket of the stores does not answer; jobs wait until it does; the log says why"
+
+#: Errors whose text says enough: the log has no traceback of them.
+_EXPLAINED: Final = (ExecutorError, LedgerUnusable, OSError, store.StoreError)
 
 
 class Returned(NamedTuple):
@@ -248,7 +251,7 @@ class Supervisor:
         action, recompute_predecessor = self._policy.decide(error, run.history(chunk))
         self.metrics.returned.labels(action.value, type(error).__name__).inc()
         if action in FAILED_TRIES:
-            trace = None if isinstance(error, ExecutorError | OSError) else error
+            trace = None if isinstance(error, _EXPLAINED) else error
             text = f"{text_of(error)} {getattr(error, 'filename', None) or ''}".rstrip()
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text, exc_info=trace)
         if action is Action.PAUSE:
@@ -384,7 +387,7 @@ class Supervisor:
             raise  # not the job's fault: the step is retried
         except Exception as error:
             self._ledger.check()  # a disk that cannot be written is not the job's fault either
-            log.error("job %s cannot start: %s", job_id, error, exc_info=not isinstance(error, OSError))
+            log.error("job %s cannot start: %s", job_id, error, exc_info=not isinstance(error, _EXPLAINED))
             self._fail(job, f"the job cannot start: {type(error).__name__}: {error}")
             return
         with self._ledger.writing() as ledger:  # it may have been cancelled or deleted
