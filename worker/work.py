@@ -40,7 +40,7 @@ MOST_STEPS: Final = 2**40
 LOOK_SECONDS: Final = (0.02, 0.1)
 
 #: Errors of writing a checkpoint that do not fail the chunk.
-_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
+_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, store.Unreachable)
 
 #: Names of a checkpoint's arrays; then the prefixes of the line under way and of the record.
 _DONE: Final = "done"

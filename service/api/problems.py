@@ -34,7 +34,7 @@ FOREIGN: Final[Mapping[type[Exception], int]] = {
     SpecTooLarge: 413,
     SpecError: 422,
     StoreError: 500,
-    **dict.fromkeys(store.UNREACHABLE, 503),
+    store.Unreachable: 503,
     OSError: 503,  # the data folder is missing or not accessible
 }
 
@@ -83,7 +83,7 @@ def problem_response(error: Exception) -> ProblemResponse:
         status = next(status for error_class, status in FOREIGN.items() if isinstance(error, error_class))
     if isinstance(error, LedgerUnavailable | StoreError):  # a store's text begins with its address
         log.error("%s", error)
-    if isinstance(error, store.UNREACHABLE):
+    if isinstance(error, store.Unreachable):
         log.error("the bucket of the stores does not answer: %s", error)
         return ProblemResponse(status, "the bucket of the stores does not answer")
     if isinstance(error, StoreError):

@@ -45,7 +45,7 @@ UNCOUNTED: Final[Mapping[type[BaseException], Action]] = {
     ClusterLost: Action.PAUSE,
     WorkerLeft: Action.CONTINUE,
     WorkerRefused: Action.CONTINUE,
-    **dict.fromkeys(store.UNREACHABLE, Action.PAUSE),
+    store.Unreachable: Action.PAUSE,
 }
 
 

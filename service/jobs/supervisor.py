@@ -242,7 +242,7 @@ class Supervisor:
             self.metrics.add_computed(report.seconds)
             return
         if isinstance(error, store.StoreDamaged):
-            with suppress(OSError, *store.UNREACHABLE):  # the next try reports the error
+            with suppress(OSError, store.Unreachable):  # the next try reports the error
                 store.repair_metadata(run.prepared.store_url, run.prepared.layout, run.prepared.attributes)
         self._on_error(run, chunk, cast(BaseException, error))
 
@@ -256,7 +256,7 @@ class Supervisor:
             log.warning("job %s, chunk %d: %s", run.job.id, chunk, text, exc_info=trace)
         if action is Action.PAUSE:
             self._schedule.slots = 0
-            if isinstance(error, store.UNREACHABLE):
+            if isinstance(error, store.Unreachable):
                 self._note_silent_bucket()
         run.apply(chunk, action, error, recompute_predecessor)
 
@@ -323,7 +323,7 @@ class Supervisor:
                     self._apply_cancel(run, job.cancel_requested)
                 elif job.cancel_requested:
                     self._start_job(job.id)  # it ends at once
-        except store.UNREACHABLE as error:
+        except store.Unreachable as error:
             # the other stores are in the same bucket; the next sync tries again
             log.warning("the bucket of the stores does not answer: %s", error)
             self._note_silent_bucket()
@@ -372,7 +372,7 @@ class Supervisor:
             return 0.0
 
     def _start_job(self, job_id: str) -> None:
-        """Run a job, or fail it if it cannot start. Raises one of `store.UNREACHABLE`."""
+        """Run a job, or fail it if it cannot start. Raises `store.Unreachable`."""
         job = self._ledger.find(job_id)
         if job is None:
             return  # it was deleted
@@ -380,7 +380,7 @@ class Supervisor:
             if (chosen := self._choices.chosen(job)) is None:
                 return  # this thread is woken when the model is chosen
             run = self._open(chosen)
-        except store.UNREACHABLE as error:
+        except store.Unreachable as error:
             log.warning("job %s cannot start yet, its bucket does not answer: %s", job_id, error)
             raise
         except LedgerUnavailable:
@@ -410,7 +410,7 @@ class Supervisor:
         return JobRun(job, prepared, self._ledger.done_mask(job), self._policy, paused)
 
     def _apply_cancel(self, run: JobRun, requested: bool) -> None:
-        """Apply or revoke a cancel request by the store's flag. Raises one of `store.UNREACHABLE`."""
+        """Apply or revoke a cancel request by the store's flag. Raises `store.Unreachable`."""
         run.stopping = run.stopping or requested
         if run.flagged == run.stopping == requested:
             return
@@ -426,7 +426,7 @@ class Supervisor:
         state = run.final_state
         if state is None:
             return
-        with suppress(OSError, *store.UNREACHABLE):  # else leftovers stay until `bounce doctor --verify`
+        with suppress(OSError, store.Unreachable):  # else leftovers stay until `bounce doctor --verify`
             store.sweep_leftovers(run.prepared.store_url, done=state is JobState.DONE)
         error = summary_of(run.failures) if state is JobState.FAILED else None
         with self._ledger.writing() as ledger:
@@ -461,7 +461,7 @@ class Supervisor:
         del self._schedule.waiting[job_id]
         try:
             self._start_job(job_id)
-        except store.UNREACHABLE:
+        except store.Unreachable:
             self._note_silent_bucket()
             self._schedule.waiting.clear()  # the other stores are in the same bucket: wait for the next sync
 

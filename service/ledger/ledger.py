@@ -222,8 +222,8 @@ class Ledger(AbstractContextManager["Ledger"]):
 MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
 
 UNLOCKED: Final = (
-    "the lock of the data folder was removed: another service may use it; make sure that none does, and start "
-    "this one again"
+    "the lock of the data folder was removed: another service may use it; "
+    "make sure that none does, and start this one again"
 )
 
 NOT_LOCAL: Final = (

@@ -5,12 +5,12 @@ Code outside this package uses only the names listed here. In worker, only this 
 
 from worker.store.backend import DELETED as DELETED
 from worker.store.backend import ROOT as ROOT
-from worker.store.backend import UNREACHABLE as UNREACHABLE
 from worker.store.backend import ChunkCoords as ChunkCoords
 from worker.store.backend import StoreConflict as StoreConflict
 from worker.store.backend import StoreDamaged as StoreDamaged
 from worker.store.backend import StoreError as StoreError
 from worker.store.backend import StoreMissing as StoreMissing
+from worker.store.backend import Unreachable as Unreachable
 from worker.store.backend import check_address as check_address
 from worker.store.backend import in_bucket as in_bucket
 from worker.store.backend import names_in as names_in

@@ -7,6 +7,7 @@ distinguishes the two kinds of address.
 
 import errno
 import os
+import re
 import shutil
 import stat
 from collections.abc import Iterator, Sequence
@@ -21,19 +22,13 @@ from urllib.parse import urlsplit
 from uuid import uuid4
 
 from worker.files import make_folder, replacing, sync, synced
+from worker.spec.errors import BounceError
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
 #: Position of a chunk in the grid of chunks, one index per cell dimension.
 ChunkCoords = tuple[int, ...]
-
-#: The exceptions of a bucket that does not respond or denies access.
-UNREACHABLE: tuple[type[Exception], ...] = ()
-with suppress(ImportError):  # obstore comes with the extra `s3`
-    from obstore.exceptions import BaseError
-
-    UNREACHABLE = (BaseError,)
 
 _BUCKET: Final = "s3://"
 #: Key of a store's root metadata, written last when the store is created.
@@ -56,6 +51,10 @@ _RETRY_TIMEOUT: Final = timedelta(seconds=15)
 
 class StoreError(Exception):
     """Base class of a store's errors; itself: the address cannot hold a store."""
+
+
+class Unreachable(BounceError):
+    """A bucket does not respond, or denies access; the reason in one line."""
 
 
 class StoreMissing(StoreError):
@@ -91,7 +90,7 @@ def check_address(url: str) -> None:
 
 
 def read_key(url: str, key: str) -> bytes | None:
-    """The bytes under a key of a store; None if there are none. Raises one of UNREACHABLE for a bucket.
+    """The bytes under a key of a store; None if there are none. Raises Unreachable.
 
     Links, pipes, devices, and files above MAX_FILE_BYTES count as missing.
     """
@@ -99,8 +98,9 @@ def read_key(url: str, key: str) -> bytes | None:
         with _opened(url, key) as file:
             return None if file is None else file.read()
     try:
-        answer = _bucket(url).get(key)
-        return bytes(answer.bytes()) if answer.meta["size"] <= MAX_FILE_BYTES else None
+        with _bucket(url) as bucket:
+            answer = bucket.get(key)
+            return bytes(answer.bytes()) if answer.meta["size"] <= MAX_FILE_BYTES else None
     except FileNotFoundError:
         return None
 
@@ -151,12 +151,12 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
                 os.pread(file.fileno(), n, offset if offset >= 0 else max(size + offset, 0))
                 for offset, n in spans
             ]
-    bucket = _bucket(url)
     try:
-        if spans[0][0] < 0:
-            return [bytes(bucket.get(key, options={"range": {"suffix": -spans[0][0]}}).bytes())]
-        starts, lengths = zip(*spans, strict=True)
-        return [bytes(part) for part in bucket.get_ranges(key, starts=starts, lengths=lengths)]
+        with _bucket(url) as bucket:
+            if spans[0][0] < 0:
+                return [bytes(bucket.get(key, options={"range": {"suffix": -spans[0][0]}}).bytes())]
+            starts, lengths = zip(*spans, strict=True)
+            return [bytes(part) for part in bucket.get_ranges(key, starts=starts, lengths=lengths)]
     except FileNotFoundError:
         return None
 
@@ -164,7 +164,11 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
 def put(url: str, key: str, content: bytes) -> None:
     """Write a key of a store, whole or not at all, and sync it; its folder must exist."""
     if in_bucket(url):
-        _bucket(url).put(key, content)
+        try:
+            with _bucket(url) as bucket:
+                bucket.put(key, content)
+        except FileNotFoundError as error:  # of the bucket itself
+            raise _unreachable(error) from None
         return
     with replacing(Path(url, key)) as file:
         file.write(content)
@@ -247,7 +251,8 @@ def delete(url: str, key: str) -> None:
     """Remove a key of a store, if it exists."""
     with suppress(FileNotFoundError, NotADirectoryError):
         if in_bucket(url):
-            _bucket(url).delete(key)
+            with _bucket(url) as bucket:
+                bucket.delete(key)
         elif _link(Path(url, key), key.count("/")) is None:
             clear(Path(url, key))
 
@@ -255,7 +260,8 @@ def delete(url: str, key: str) -> None:
 def names_in(url: str) -> list[str]:
     """Sorted names directly in a folder, or under a prefix of a bucket; none if it is missing."""
     if in_bucket(url):
-        listed = _bucket(url).list_with_delimiter()
+        with _bucket(url) as bucket:
+            listed = bucket.list_with_delimiter()
         paths = [*listed["common_prefixes"], *(entry["path"] for entry in listed["objects"])]
         return sorted(path.rstrip("/").rsplit("/", 1)[-1] for path in paths)
     try:
@@ -267,9 +273,9 @@ def names_in(url: str) -> list[str]:
 def remove(url: str) -> None:
     """Remove everything under an address, if it exists; a folder goes at once, by renaming it."""
     if in_bucket(url):
-        bucket = _bucket(url)
-        for entries in bucket.list():
-            bucket.delete([entry["path"] for entry in entries])
+        with _bucket(url) as bucket:
+            for entries in bucket.list():
+                bucket.delete([entry["path"] for entry in entries])
         return
     renamed = Path(f"{url}{DELETED}")
     if Path(url).is_symlink():
@@ -281,8 +287,27 @@ def remove(url: str) -> None:
         clear(renamed)
 
 
+@contextmanager
+def _bucket(url: str) -> Iterator["S3Store"]:
+    """The client of a bucket's prefix. Raises Unreachable for the client's errors."""
+    client = _client(url)
+    from obstore.exceptions import BaseError  # noqa: PLC0415 - comes with the extra `s3`
+
+    try:
+        yield client
+    except BaseError as error:
+        raise _unreachable(error) from None
+
+
+def _unreachable(error: Exception) -> Unreachable:
+    """An error of the bucket's client, in one line."""
+    line, _, document = str(error).partition("\n\nDebug source")[0].partition("<?xml")
+    said = re.search("<Message>(.*?)</Message>", document)
+    return Unreachable(f"{line.rstrip()} {said[1] if said else ''}".partition("\n")[0].rstrip(" :"))
+
+
 @lru_cache(maxsize=256)
-def _bucket(url: str) -> "S3Store":
+def _client(url: str) -> "S3Store":
     """Client of a bucket's prefix, cached with its connections."""
     store: S3Store = _obstore().S3Store.from_url(url, retry_config={"retry_timeout": _RETRY_TIMEOUT})
     return store

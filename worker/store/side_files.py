@@ -30,7 +30,7 @@ _DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 def write_marker(url: str, content: str) -> None:
-    """Mark a folder of stores, or prefix of a bucket. Raises OSError, or one of `store.UNREACHABLE`."""
+    """Mark a folder of stores, or prefix of a bucket. Raises OSError, or `store.Unreachable`."""
     backend.make_place(url)
     backend.put(url, MARKER, content.encode())
 
@@ -95,7 +95,7 @@ def sweep_leftovers(url: str, *, done: bool = False) -> None:
 def write_checkpoint(url: str, chunk: int, arrays: Mapping[str, Any]) -> None:
     """Keep the progress of a chunk in the store at `url`, replacing earlier arrays.
 
-    Without it the chunk begins again, with the same result. Raises OSError, or one of `store.UNREACHABLE`.
+    Without it the chunk begins again, with the same result. Raises OSError, or `store.Unreachable`.
     """
     file = io.BytesIO()
     np.savez(file, **arrays)

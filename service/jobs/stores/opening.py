@@ -25,7 +25,7 @@ _NAME: Final = re.compile(r"(?:[0-9]{1,18}-)?[0-9a-f]{32}\.zarr")
 REMEMBERED_SECONDS: Final = 10.0
 #: Unknown stores logged one by one.
 MAX_NAMED: Final = 20
-_UNREADABLE: Final[tuple[type[Exception], ...]] = (OSError, *store.UNREACHABLE)
+_UNREADABLE: Final[tuple[type[Exception], ...]] = (OSError, store.Unreachable)
 
 
 class StoresMarker:
@@ -49,7 +49,7 @@ class StoresMarker:
             marker = store.read_marker(self._url)
             if marker not in (None, "", ours) and (made or not self._within_data):
                 raise LedgerUnusable(self._foreign(str(marker)))
-            # a marker that a power cut left empty is ours, unless the ledger knows none of the stores beside it
+            # a marker that a power cut left empty is ours if the ledger knows one of the stores beside it
             stored = _stored(self._settings)
             emptied = marker == "" and (not stored or stored != find_unknown(self._ledger, self._settings))
             if marker != ours and (adopting or not made or emptied):
@@ -106,7 +106,7 @@ class StoresMarker:
 def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
     """Names of the stores without a job in the ledger, the newest first, except those being removed.
 
-    Raises OSError, or one of `store.UNREACHABLE`.
+    Raises OSError, or `store.Unreachable`.
     """
     with ledger.reading() as reading:
         names = reading.stores()
@@ -116,7 +116,7 @@ def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
 def report_unknown(ledger: Ledger, settings: Settings) -> list[str]:
     """Name the unknown stores in the log, and return them: they may be all that remains of a job.
 
-    Raises one of `store.UNREACHABLE`.
+    Raises `store.Unreachable`.
     """
     try:
         unknown = find_unknown(ledger, settings)

@@ -49,7 +49,7 @@ def bucket() -> Iterator[str]:
             patch.setenv(name, value)
         assert httpx2.put(f"{address}/results", timeout=DEADLINE).status_code == 200
         yield address
-    backend._bucket.cache_clear()  # its connections are to this server
+    backend._client.cache_clear()  # its connections are to this server
     server.stop()
 
 
@@ -107,9 +107,9 @@ def test_a_chunk_is_stored_with_few_requests(bucket: str, monkeypatch: pytest.Mo
     """One for each array; what the chunks before it have asked is not asked again."""
     spec, url = SweepSpec(**RAMP | {"protocol": {"kind": "rest"}}), f"{BUCKET_URL}/few.zarr"
     plan = planned(url, spec, (1, 1, 4))
-    real = backend._bucket
+    real = backend._client
     counting = Counting(real(url))
-    monkeypatch.setattr(backend, "_bucket", lambda address: counting if address == url else real(address))
+    monkeypatch.setattr(backend, "_client", lambda address: counting if address == url else real(address))
     with with_options(ChunkOptions(begins=True)):
         run_task(spec, plan[0], url)
         first = len(counting.calls)
@@ -128,9 +128,9 @@ def test_a_bucket_that_fails_in_mid_chunk_costs_no_try(
         wait_for(held.held)
         with monkeypatch.context() as away:
             away.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
-            backend._bucket.cache_clear()
+            backend._client.cache_clear()
             held.let_go()
-        backend._bucket.cache_clear()  # no other makes one with the address that is away
+        backend._client.cache_clear()  # no other makes one with the address that is away
         held.let_go_until(lambda: get(client, here)["state"] not in ("queued", "running"))
         assert get(client, here)["state"] == "done"
 
@@ -143,7 +143,7 @@ def test_delete_leaves_nothing(bucket: str, tmp_path: Path):
         assert backend.read_key(url, "zarr.json") is not None
         assert client.delete(here).status_code == 204
         wait_for(lambda: backend.read_key(url, "zarr.json") is None)
-        wait_for(lambda: not list(backend._bucket(url).list()))
+        wait_for(lambda: not list(backend._client(url).list()))
     executor.close()
 
 
@@ -172,6 +172,12 @@ def test_workers_of_a_cluster_write_to_the_bucket(
             run(os.environ.pop, name, None)
 
 
+def test_a_bucket_that_is_missing_is_named_in_one_line(bucket: str):
+    for ask in (lambda: backend.names_in("s3://none/x"), lambda: backend.put("s3://none/x", "a", b"")):
+        with pytest.raises(backend.Unreachable, match=r"^[^\n<]*: The specified bucket does not exist$"):
+            ask()
+
+
 def test_a_bucket_that_does_not_answer_is_waited_for(
     bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
@@ -191,7 +197,7 @@ def test_a_bucket_that_does_not_answer_is_waited_for(
         assert "127.0.0.1" not in answer.text
         assert client.get("/healthz").status_code == 200
         monkeypatch.setenv("AWS_ENDPOINT_URL", address)
-        backend._bucket.cache_clear()
+        backend._client.cache_clear()
         wait_for(lambda: get(client, here)["state"] == "done")
         assert client.get("/readyz").status_code == 200
     executor.close()

@@ -8,7 +8,7 @@ from tables import for_each
 
 from service.jobs.retry import MAX_COLLATERAL_LOSSES, Action, Decision, History, RetryPolicy
 from worker.executors.base import ClusterLost, WorkerDied, WorkerLeft, WorkerLost, WorkerRefused
-from worker.store import UNREACHABLE, StoreDamaged, StoreMissing
+from worker.store import StoreDamaged, StoreMissing, Unreachable
 from worker.study import ChunkCancelled, PredecessorMissing
 
 POLICY = RetryPolicy(chunk_tries=3, failed_chunks=8)
@@ -36,7 +36,7 @@ INTERRUPTED = OSError(errno.EIO, "Input/output error")
     (ClusterLost("gone"), LAST_TRY, Action.PAUSE),
     (ClusterLost("gone"), STOPPING, Action.PAUSE),
     # the bucket does not answer
-    *((kind("gone"), history, Action.PAUSE) for kind in UNREACHABLE for history in (FRESH, LAST_TRY, FATAL)),
+    *((Unreachable("gone"), history, Action.PAUSE) for history in (FRESH, LAST_TRY, FATAL)),
     # the worker was told to leave, or may not compute
     *((kind("no"), history, Action.CONTINUE) for kind in (WorkerLeft, WorkerRefused)
       for history in (FRESH, LAST_TRY, LAST_LOSS, FATAL, STOPPING)),
