@@ -39,6 +39,8 @@ REFILL_SECONDS: Final = 5.0
 #: The states of a Dask cluster that no longer computes.
 _ENDED: Final = frozenset({"closed", "closing", "failed"})
 LOOPBACK: Final = "127.0.0.1"
+#: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, for which the module ssl has no name.
+_NO_CHECK_TIME: Final = 0x200000
 #: Workers still running after CLOSE_SECONDS are killed, and those that replaced them after KILL_SECONDS.
 CLOSE_SECONDS, KILL_SECONDS = 1.5, 0.1
 #: Schedulers and workers always listen for HTTP; without routes they serve only an empty sitemap. Nobody sees
@@ -178,13 +180,25 @@ class CreatedCluster(Target):
         self._next_refill = time.monotonic() + REFILL_SECONDS
 
 
+class _AtAnyTime(Security):
+    """TLS without a look at the clock, which may be set back by hours, or go on for years.
+
+    distributed's temporary certificate is valid from now, for a year.
+    """
+
+    def _get_tls_context(self, tls: Any, purpose: Any) -> Any:
+        context = super()._get_tls_context(tls, purpose)  # type: ignore[no-untyped-call]
+        context.verify_flags |= _NO_CHECK_TIME
+        return context
+
+
 class LocalWorkers(Target):
     """A scheduler in this process, and `workers` processes with one thread each, on loopback only.
 
     Scheduler, nannies and workers run any code they receive, and every user of the machine can reach their
-    ports. So they use TLS with a certificate known to this cluster's processes only, valid for a year; their
-    HTTP servers have no pages; and only this user can enter the folder of the workers' files: distributed's
-    own folder can be made by another user first, and workers search it for modules before anything else.
+    ports. So they use TLS with a certificate known to this cluster's processes only; their HTTP servers have
+    no pages; and only this user can enter the folder of the workers' files: distributed's own folder can be
+    made by another user first, and workers search it for modules before anything else.
 
     Each process may use `memory` bytes (None: an equal share of the machine's). A process that dies is
     restarted by its nanny. Sets the Dask settings that its scheduler needs in this process.
@@ -204,7 +218,7 @@ class LocalWorkers(Target):
                     threads_per_worker=1,
                     processes=True,
                     host=LOOPBACK,
-                    security=Security.temporary(),  # type: ignore[no-untyped-call]
+                    security=_AtAnyTime.temporary(),  # type: ignore[no-untyped-call]
                     dashboard_address=f"{LOOPBACK}:0",
                     scheduler_kwargs={"dashboard": False},  # there by default if bokeh is installed
                     # distributed's default depends on the cores, not on the number of processes.

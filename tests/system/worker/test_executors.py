@@ -8,6 +8,8 @@ import socket
 import threading
 import time
 from contextlib import closing
+from datetime import datetime, timedelta, timezone
+from types import SimpleNamespace
 
 import dask
 import psutil
@@ -102,6 +104,20 @@ def test_a_worker_computes_on_when_its_kernels_take_most_of_its_memory():
         executor._connection.client.run(fill)
         time.sleep(1.0)  # a worker looks at its memory ten times a second
         assert executor.call(len, "abc").result(PATIENCE) == 3
+
+
+def test_workers_join_after_the_clock_was_set_back(monkeypatch):
+    """The certificate that they show is of tomorrow."""
+
+    class Tomorrow(datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return datetime.now(tz) + timedelta(days=1)
+
+    clock = SimpleNamespace(datetime=Tomorrow, timedelta=timedelta, timezone=timezone)
+    monkeypatch.setattr("distributed.security.datetime", clock)
+    with closing(Dask(workers=1)) as executor:
+        assert executor.state().workers == 1
 
 
 def test_a_scheduler_that_would_judge_deaths_itself_is_told_how_to_start(caplog):
