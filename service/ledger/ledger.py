@@ -116,7 +116,8 @@ class Ledger(AbstractContextManager["Ledger"]):
         try:
             self.check_stores()  # without a lock: a file system that hangs stops only this thread
             if not self._closed and not os.fstat(self._lock.fileno()).st_nlink:
-                raise LedgerUnavailable(UNLOCKED)
+                rule = "make sure that no other service uses it, and start this one again"
+                raise LedgerUnavailable(f"the lock of the data folder was removed: {rule}")
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)
@@ -220,11 +221,6 @@ class Ledger(AbstractContextManager["Ledger"]):
 
 #: The remedy for an unusable ledger, for operators.
 MEND: Final = "restore a backup with bounce restore, or move it away and run bounce adopt --all"
-
-UNLOCKED: Final = (
-    "the lock of the data folder was removed: another service may use it; "
-    "make sure that none does, and start this one again"
-)
 
 NOT_LOCAL: Final = (
     "it must not be used from two machines; keep the ledger on a local disk (BOUNCE_DATA), "

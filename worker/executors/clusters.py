@@ -181,10 +181,7 @@ class CreatedCluster(Target):
 
 
 class _AtAnyTime(Security):
-    """TLS without a look at the clock, which may be set back by hours, or go on for years.
-
-    distributed's temporary certificate is valid from now, for a year.
-    """
+    """TLS at any time of the clock, which may be set back: the certificate is valid from now, for a year."""
 
     def _get_tls_context(self, tls: Any, purpose: Any) -> Any:
         context = super()._get_tls_context(tls, purpose)  # type: ignore[no-untyped-call]

@@ -164,11 +164,8 @@ def read_parts(url: str, key: str, spans: Sequence[tuple[int, int]]) -> list[byt
 def put(url: str, key: str, content: bytes) -> None:
     """Write a key of a store, whole or not at all, and sync it; its folder must exist."""
     if in_bucket(url):
-        try:
-            with _bucket(url) as bucket:
-                bucket.put(key, content)
-        except FileNotFoundError as error:  # of the bucket itself
-            raise _unreachable(error) from None
+        with _bucket(url, FileNotFoundError) as bucket:  # it is the bucket that is not found
+            bucket.put(key, content)
         return
     with replacing(Path(url, key)) as file:
         file.write(content)
@@ -288,22 +285,19 @@ def remove(url: str) -> None:
 
 
 @contextmanager
-def _bucket(url: str) -> Iterator["S3Store"]:
-    """The client of a bucket's prefix. Raises Unreachable for the client's errors."""
+def _bucket(url: str, *further: type[Exception]) -> Iterator["S3Store"]:
+    """The client of a bucket's prefix. Raises Unreachable for the client's errors and `further` ones."""
     client = _client(url)
     from obstore.exceptions import BaseError  # noqa: PLC0415 - comes with the extra `s3`
 
+    errors: tuple[type[Exception], ...] = (BaseError, *further)
     try:
         yield client
-    except BaseError as error:
-        raise _unreachable(error) from None
-
-
-def _unreachable(error: Exception) -> Unreachable:
-    """An error of the bucket's client, in one line."""
-    line, _, document = str(error).partition("\n\nDebug source")[0].partition("<?xml")
-    said = re.search("<Message>(.*?)</Message>", document)
-    return Unreachable(f"{line.rstrip()} {said[1] if said else ''}".partition("\n")[0].rstrip(" :"))
+    except errors as error:
+        line, _, document = str(error).partition("\n\nDebug source")[0].partition("<?xml")
+        said = re.search("<Message>(.*?)</Message>", document)
+        reason = f"{line.rstrip()} {said[1] if said else ''}".partition("\n")[0].rstrip(" :")
+        raise Unreachable(reason) from None
 
 
 @lru_cache(maxsize=256)
