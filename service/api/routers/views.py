@@ -38,7 +38,7 @@ from service.views.registry import SPRINGS, VIEWS, admit, answer, encoded, motio
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
 from service.views.view import Call, Estimate, View
-from worker.store import StoreDamaged, StoreError, StoreMissing
+from worker.store import StoreDamaged, StoreError, StoreMissing, Unreachable
 from worker.studies import from_json
 from worker.sweep import SweepSpec
 
@@ -165,7 +165,7 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
 def changed(service: Service, job: JobRecord, before: JobRecord) -> float | None:
     """The share of a job's points where a coarser one shows another mode; None if that cannot be read."""
     study = replace(dependencies.stored(service, job), other=dependencies.stored(service, before))
-    with suppress(StoreError, ServiceError):
+    with suppress(StoreError, Unreachable, ServiceError):
         return service.background.run(difference.changed, study)
     return None
 
