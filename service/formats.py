@@ -3,6 +3,7 @@
 Standard library only: the client and the command line import this without the service.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, TypeAlias, get_args
 
@@ -38,6 +39,19 @@ MEDIA_TYPES: Final[Mapping[str, str]] = {
     "parquet": "application/vnd.apache.parquet",
     "html": "text/html",
 }
+
+#: Seconds of the units of a time.
+_UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+
+
+def seconds_of(text: object) -> float:
+    """The seconds of a time written as 90, 90s, 5m or 1.5h. Raises ValueError."""
+    number = r"((?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:e[+-]?[0-9]+)?)"
+    match = re.fullmatch(rf"\s*{number}\s*(s|m|min|h|)\s*", str(text))
+    if match is None or not (seconds := float(match[1]) * _UNITS[match[2]]):
+        raise ValueError(f"must be seconds above 0, or a time such as 90s, 5m or 1h, not {str(text)!r:.40}")
+    return seconds
+
 
 #: The formats of each result, and the variables whose numbers are the rows of printed tables.
 Results: TypeAlias = dict[str, tuple[tuple[str, ...], tuple[str, ...]]]

@@ -18,7 +18,7 @@ from service.cli.options import (
     format_option,
     json_option,
     output_format,
-    seconds_of,
+    seconds,
     with_client,
     with_job,
     write_file,
@@ -35,7 +35,7 @@ ORDERS: Final = ("newest", "oldest", "finished", "name", "largest")
 _RUN_FORMATS: Final = ("zarr", *EXPORTS, *PICTURES, *TABLES)
 
 _budget_option: Final = click.option(
-    "--budget", type=seconds_of, metavar="TIME",
+    "--budget", type=seconds, metavar="TIME",
     help="Compute the finest level that fits into this time: 90s, 5m, 1h.",
 )  # fmt: skip
 _effort_option: Final = click.option(
@@ -134,7 +134,7 @@ def run(
 
 @click.command()
 @click.argument("spec", type=click.Path(exists=True, dir_okay=False, allow_dash=True))
-@click.option("--budget", type=seconds_of, metavar="TIME",
+@click.option("--budget", type=seconds, metavar="TIME",
               help="Time that the recommended setting takes at most: 90s, 5m, 1h.")  # fmt: skip
 @click.option(
     "--tolerance", type=Number(0, 1, min_open=True, max_open=True),

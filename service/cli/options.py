@@ -1,7 +1,6 @@
 """Error messages, common options and output files of the commands of `bounce`."""
 
 import errno
-import re
 import time
 from collections.abc import Callable, Mapping
 from datetime import datetime
@@ -17,6 +16,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from service.errors import missing_library
+from service.formats import seconds_of
 from service.tokens import DEFAULT_URL, default_url
 
 if TYPE_CHECKING:
@@ -31,16 +31,12 @@ COMPLETION_SECONDS: Final = 2.0
 Command = TypeVar("Command", bound=Callable[..., None])
 
 
-#: Seconds of the units of a time.
-_UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
-
-
-def seconds_of(text: str) -> float:
-    """The seconds of a time written as 90, 90s, 5m or 1.5h."""
-    match = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)([smh]?)", text.strip())
-    if match is None or float(match[1]) == 0.0:
-        raise click.BadParameter(f"must be a time such as 90s, 5m or 1h, not {text!r}")
-    return float(match[1]) * _UNITS[match[2]]
+def seconds(text: str) -> float:
+    """The seconds of a time such as 5m."""
+    try:
+        return seconds_of(text)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
 
 
 def plural(number: int, thing: str) -> str:

@@ -6,9 +6,10 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from service.errors import InvalidRequest, TooLarge
+from service.formats import seconds_of
 from service.pictures import ATTRACTORS, Figure
 from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
@@ -44,7 +45,9 @@ _ROWS: Final = (
 class PlanQuery(Query):
     """Limits on the recommended setting."""
 
-    budget: Annotated[Number, Field(gt=0)] | None = Field(None, description="s that it takes at most")
+    budget: Annotated[Number, BeforeValidator(seconds_of), Field(gt=0)] | None = Field(
+        None, description="s, or a time such as 5m, that it takes at most"
+    )
     tolerance: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
         None, description="share that it shows wrong at most; default: 0.05 without a budget"
     )

@@ -233,7 +233,7 @@ def test_a_job_that_is_not_done_has_no_audit(tmp_path):
 
 def test_a_plan_tells_what_a_budget_buys(client: TestClient):
     spec = spec_of((0.8, 4, 48), (0.4, 1.0, 32), 0.3)
-    found = from_json(waited(client, "POST", "/v1/plans?budget=60", json=spec).content)
+    found = from_json(waited(client, "POST", "/v1/plans?budget=1m", json=spec).content)
     rows = {name: found[name].values.tolist() for name in found.data_vars}
     assert sum(rows["recommended"]) == 1
     assert rows["share"][rows["recommended"].index(True)] == min(rows["share"])  # all fit into the budget
