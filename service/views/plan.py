@@ -13,7 +13,7 @@ from service.formats import seconds_of
 from service.pictures import ATTRACTORS, Figure
 from service.views.variables import dataset, row, variables
 from service.views.view import Call, Estimate, Number, Query, View
-from worker.analysis.audit import MAX_SECONDS, reference_seconds
+from worker.analysis.audit import reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
 from worker.spec.errors import SpecTooLarge
 from worker.studies import study_of
@@ -24,6 +24,8 @@ from worker.sweep.specification import EFFORTS
 
 #: Parts of the sweep's cells that the compared grids have.
 PARTS: Final = (1.0, 1 / 4, 1 / 16, 1 / 64)
+#: Limit on the core-seconds of the pilot points, by their longer computation.
+MAX_SECONDS: Final = 60.0
 #: By default, the share of the plane that may be wrong.
 TOLERANCE: Final = 0.05
 
