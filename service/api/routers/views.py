@@ -184,6 +184,8 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
         keys.append((step, chunks if study is not None and study.complete else 0))
         try:
             results += service.on_demand.get(keys[-1], step, chunks)
+        except Pending as pending:
+            raise Pending(len(results) + pending.done, len(calls)) from None
         except KernelInputError as error:
             raise InvalidRequest.of(error.argument, error.rule) from error
         except StoreMissing as error:  # lost, or deleted meanwhile
