@@ -212,12 +212,17 @@ def _progress_bar() -> Iterator[Callable[[JobStatus], None]]:
 
 
 def _in_notebook() -> Callable[[JobStatus], None]:
-    """A function that shows a job as HTML below the cell of a notebook, in place."""
+    """A function that shows a job as HTML below the cell of a notebook, in place; at its end in a line."""
     from IPython.display import HTML, DisplayHandle
 
     handle = DisplayHandle()
     handle.display(HTML(""))
-    return lambda job: handle.update(HTML(job_html(job)))
+
+    def show(job: JobStatus) -> None:
+        ended = f"{escape(summary(job))}<br>{escape(settling_note(job))}"  # the cell may end with the job
+        handle.update(HTML(ended if job.finished else job_html(job)))
+
+    return show
 
 
 def _on_terminal() -> bool:
