@@ -139,7 +139,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
                     raise errors.InvalidSpecification.before_sending(reached["error"])
                 return self.job(reached["answer"])
             time.sleep(BUDGET_DELAY)
-            first._refresh_in_time(budget=reached.get("id"))  # budgets of others have the same first level
+            # budgets of others have the same first level
+            first._refresh_in_time(shown=progress, budget=reached.get("id"))
         raise BounceError("the service has begun anew, which ends the budget: its levels are among the jobs")
 
     def import_shared(self, path: "str | PathLike[str]") -> Job:

@@ -180,7 +180,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             No answer for 30 seconds.
         """
         with display_job(progress) as show:
-            for _ in until_ended([self], timeout, show):
+            for _ in until_ended([self], timeout, show, shown=progress is True):
                 pass
         if self.state == "failed":
             raise errors.JobFailed(self)
@@ -324,12 +324,12 @@ class Job(ResultReader, ResultMethods, JobStatus):
         except errors.BadRequest as error:  # names the limits of a window
             raise BounceError(re.sub("^st(art|op):", "gamma:", str(error))) from None
 
-    def _refresh_in_time(self, **query: str | None) -> None:
+    def _refresh_in_time(self, *, shown: bool, **query: str | None) -> None:
         """Refresh, waiting for an absent service; become the job that replaces this one, if any."""
         while True:
             if self._is_replaced():
                 self.id, self._etag = str(self.replaced_by), None
-            outlast(partial(self._refresh, **query))
+            outlast(partial(self._refresh, **query), shown=shown)
             if not self._is_replaced():
                 return
 
@@ -350,9 +350,10 @@ def _length(axis: object) -> int:
 
 
 def until_ended(
-    jobs: Iterable[Job], timeout: float | None, show: Callable[[Job], None] = lambda job: None
-) -> Iterator[Job]:
-    """The jobs as they end; calls `show` with a job now and after every request.
+    jobs: Iterable[Job], timeout: float | None, show: Callable[[Job], None] = lambda job: None,
+    shown: bool = False,
+) -> Iterator[Job]:  # fmt: skip
+    """The jobs as they end; calls `show` with a job now and after every request. shown: as in `outlast`.
 
     Raises WaitTimeout, ServiceUnreachable.
     """
@@ -363,7 +364,7 @@ def until_ended(
         if due > 0.0:
             time.sleep(max(0.0, min(due, deadline) - time.monotonic()))
         if due > 0.0 or job._is_replaced():
-            job._refresh_in_time()
+            job._refresh_in_time(shown=shown)
         show(job)
         if job.finished:
             yield job

@@ -40,7 +40,7 @@ RETRY_DELAYS: Final = (0.1, 0.4)
 #: Default and shortest seconds between two requests to a service that is busy or away.
 ASK_DELAY: Final = 1.0
 SHORTEST_DELAY: Final = 0.1
-#: Seconds of waiting for a busy service before it is reported.
+#: Seconds of waiting for a busy or absent service before it is reported.
 SHOWN_AFTER: Final = 2.0
 
 #: Seconds for which a wait outlasts a service that is away; a restarted one continues its jobs.
@@ -65,7 +65,7 @@ def outlast(
     """What `send` returns, repeated while the service does not answer.
 
     For up to `away` seconds where it is away, `busy` where it is full (429). Raises ServiceUnreachable or
-    Busy. shown: whether waits longer than SHOWN_AFTER for a full service are shown on standard error.
+    Busy. shown: whether waits longer than SHOWN_AFTER are shown on standard error.
     """
     began = answered = time.monotonic()
     with ExitStack() as waiting:
@@ -82,6 +82,9 @@ def outlast(
                     raise
             if full and shown:
                 waiting.enter_context(display_elapsed("the service is busy: waiting", SHOWN_AFTER))
+                shown = False
+            elif shown and now - answered >= SHOWN_AFTER:
+                display_line(f"the service does not answer: waiting up to {left:.0f} s for it")
                 shown = False
             time.sleep(_pause(asked, left))
 

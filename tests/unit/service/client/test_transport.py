@@ -266,15 +266,19 @@ def test_an_unchanged_job_is_requested_by_its_etag():
         assert tags == [None, 'W/"one"', 'W/"one"']
 
 
-def test_a_wait_and_a_result_outlive_a_restart_of_the_service(capsys: pytest.CaptureFixture[str]):
+def test_a_wait_and_a_result_outlive_a_restart_of_the_service(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("service.client.transport.SHOWN_AFTER", 0.0)
     of_a_proxy = Answer(502, b"<html>"), Answer(504, {"message": "late"})
     gone = [*[LOST] * 3, *of_a_proxy, Answer(503, {"detail": "starting"})]
     parts = {"parts_done": 0, "parts_total": 1}
     computing = Answer(202, {"progress": parts, "notice": "no workers yet"}, Retry_After="0")
     result = computing, *[LOST] * 3, Answer(body={})
     with scripted(Answer(body=view()), *gone, Answer(body=view("done", 10)), *result) as (_, client):
-        job = client.job(ID).wait(progress=False)
+        job = client.job(ID).wait()
         assert job.state == "done"
+        assert "the service does not answer: waiting up to" in capsys.readouterr().err
         assert job.result_file("threshold", "json", progress=True) == b"{}"
     assert "computing\nno workers yet\n" in capsys.readouterr().err
 
