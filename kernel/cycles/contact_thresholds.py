@@ -36,7 +36,7 @@ def thresholds_of(plate: Any, omega: float, xi: float, cycles: Sequence[Point] =
     cycles: as in `thresholds.conjecture`. Raises KernelInputError.
     """
     gamma_th = rest_ends(plate, omega, xi)
-    answer = Thresholds(omega, xi, gamma_th)
+    answer = Thresholds(omega, xi, gamma_th, at_rest="rest")
     if not math.isfinite(gamma_th):
         return answer._replace(reason="a spring at rest bounces at no Gamma")
     folds: list[Fold] = []

@@ -55,10 +55,12 @@ class Thresholds(NamedTuple):
     gamma_th: float  # rest ends there on the way up; Eq. 25 on an ideal plate
     jump: float = math.nan  # the fold at which flights leap on the way up; NaN if there is none
     down: float = math.nan  # Gamma_down, the lowest at which bouncing persists; NaN if not decided
-    #: "Eq. 25", "fold (1,k)", "fold of word zs (2,2)" and the like, "unresolved", "not searched"
+    #: "Eq. 25", on other contacts "rest"; "fold (1,k)", "fold of word zs (2,2)" and the like; "unresolved",
+    #: "not searched"
     cause: str = UNRESOLVED
     reason: str = ""  # why it is not decided
     fold: Fold | None = None  # at `down`
+    at_rest: str = EQ_25  # the cause if bouncing persists down to `gamma_th`
 
     def contradicted(self, bouncing: float) -> "Thresholds":
         """The same, unresolved: a simulation bounces at this Gamma below `down`."""
@@ -121,7 +123,7 @@ def lowest_end(answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descen
     reasons += [_why(fold) for fold in folds if not fold.holds and fold.gamma < down]
     if reasons:
         return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
-    return answer._replace(down=down, cause=EQ_25 if lowest is None else lowest.name, fold=lowest)
+    return answer._replace(down=down, cause=answer.at_rest if lowest is None else lowest.name, fold=lowest)
 
 
 def _lowest(folds: Sequence[Fold], below: float) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.cycles.folds import lifetime
-from kernel.cycles.thresholds import EQ_25, Thresholds
+from kernel.cycles.thresholds import Thresholds
 from kernel.threshold import threshold
 from service.errors import InvalidRequest
 from service.formats import Predict
@@ -300,8 +300,11 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         f"the ramp lost the cycle {above:.3g} above the fold: its steps of {spacing:.3g} excite the spring; "
         "take smaller ones, or start on the cycle"
     )
-    if prediction.cause == EQ_25:
-        why = f"the sweep stops bouncing {above:.3g} above Eq. 25: it still settles, or its window is short"
+    if prediction.cause == prediction.at_rest:
+        why = (
+            f"the sweep stops bouncing {above:.3g} above {prediction.cause}: it still settles, or its window "
+            "is short"
+        )
     elif spec.axis_values("gamma")[-1] < prediction.jump and down >= prediction.gamma_th - slack:
         why = f"the ramp begins below the jump at {prediction.jump:.6g}, on a cycle that shrinks to rest"
     elif -slack <= down - prediction.gamma_th <= spacing + slack:

@@ -10,7 +10,7 @@ from kernel.cycles.contact_thresholds import thresholds_of
 from kernel.cycles.cycles import Point
 from kernel.cycles.events import POINTS, flight_times
 from kernel.cycles.folds import lifetime
-from kernel.cycles.thresholds import EQ_25, PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
+from kernel.cycles.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
 from kernel.search import Searched, search
 from kernel.threshold import threshold
@@ -108,7 +108,7 @@ def _searched(contact: Contact, omega: float, xi: float) -> Thresholds:
         end = search_below(contact, omega, xi)
     except KernelInputError:  # for which the answer has the reason
         return answer
-    down, what = (end.gamma, end.what) if end.what else (answer.gamma_th, EQ_25)
+    down, what = (end.gamma, end.what) if end.what else (answer.gamma_th, answer.at_rest)
     return answer._replace(down=down, cause=f"{what}{SEARCHED}", reason="")
 
 

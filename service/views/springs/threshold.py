@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from kernel.cycles.folds import lifetime
-from kernel.cycles.thresholds import EQ_25, Thresholds
+from kernel.cycles.thresholds import Thresholds
 from kernel.search import starts_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, edges, legend_beside, mark_single, values_at
@@ -41,7 +41,7 @@ _OF_SEARCH: Final = (
 )
 
 _OF_SPRING: Final = (
-    row("threshold", (), "<f8", "Γ at which rest ends, Eq. 25", comment="NaN: at none"),
+    row("threshold", (), "<f8", "Γ at which rest ends; Eq. 25 on an ideal plate", comment="NaN: at none"),
     row("jump", (), "<f8", "Γ of the fold at which flights leap on the way up"),
     row("down", (), "<f8", "lowest Γ at which bouncing persists", comment="NaN: not decided"),
     row("cause", (), "U", "what ends bouncing at down"),
@@ -102,7 +102,8 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
     gamma, what = np.nan, ""
     if search is not None:
         data["missed"] = search.missed
-        gamma, what = (search.gamma, search.what) if search.what else (thresholds.gamma_th, EQ_25)
+        rest = thresholds.gamma_th, thresholds.at_rest
+        gamma, what = (search.gamma, search.what) if search.what else rest
     if search is not None and not gamma > thresholds.down * _SAME_END:
         data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
         data |= {row.name: getattr(search, row.name) for row in _OF_SEARCH}
@@ -261,7 +262,7 @@ _MOST_LINES: Final = 5
 def draw_grid(result: xarray.Dataset, figure: Figure) -> None:
     """Draw the lowest Γ at which bouncing persists: a line over omega for each of a few xi, or a map.
 
-    Diamonds: searched. Dashed: Eq. 25. White on a map: not decided.
+    Diamonds: searched. Dashed: where rest ends. White on a map: not decided.
     """
     axes = figure.subplots()
     axes.set_xlabel(AXES["omega"])
@@ -286,7 +287,8 @@ def draw_grid(result: xarray.Dataset, figure: Figure) -> None:
     axes.set_ylabel(r"lowest $\Gamma$ at which bouncing persists")
     legend_beside(axes, axes.get_legend_handles_labels()[0])
     searched_for = "; diamonds: searched for" if (result.status.values == "searched").any() else ""
-    axes.set_title(f"dashed: Eq. 25{searched_for}", fontsize=10)
+    onset = "Eq. 25" if result.attrs["model"] == IDEAL else "where rest ends"
+    axes.set_title(f"dashed: {onset}{searched_for}", fontsize=10)
 
 
 GRID: Final = View(

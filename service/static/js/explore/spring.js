@@ -114,7 +114,7 @@ export class Explore extends Cycles {
       const [jump, down, cause, reason] = ["jump", "down", "cause", "reason"].map((name) => this.thresholds[name].data);
       if (jump !== null) sentences.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
       if (down === null) sentences.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
-      else sentences.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${isOwn && down === lowest ? "rest" : cause}).`);
+      else sentences.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${cause}).`);
     }
     this.words.textContent = inSymbols(sentences.join(" "));
   }

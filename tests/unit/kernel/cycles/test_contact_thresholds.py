@@ -46,14 +46,14 @@ def test_a_fold_with_a_pair_of_multipliers_outside_the_unit_circle_decides_nothi
 
 def test_bouncing_ends_with_rest_where_no_fold_is_below():
     answer = thresholds_of(soft(), 0.5, 0.26)
-    assert answer.cause == EQ_25
+    assert answer.cause == "rest"
     assert answer.down == answer.gamma_th == rest_ends(soft(), 0.5, 0.26)
 
 
 @pytest.mark.parametrize("omega", [0.35, 0.4, 0.46, 0.47, 0.6, 0.75, 1.26, 1.28])
 def test_an_ideal_plate_has_the_thresholds_of_the_closed_form(omega):
     known, answer = thresholds(omega, 0.05), thresholds_of(rigid(0.0), omega, 0.05)
-    assert answer.cause == known.cause
+    assert answer.cause.replace("rest", EQ_25) == known.cause
     assert answer.down == pytest.approx(known.down, abs=1e-12, nan_ok=True)
     assert (answer.reason != "") == (known.cause == UNRESOLVED)
 
