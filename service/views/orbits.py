@@ -27,7 +27,7 @@ from service.views.springs.branches import (
     pieces_below,
     with_flights,
 )
-from service.views.springs.queries import MAX_GAMMA, name_of
+from service.views.springs.queries import GAMMA_MAX, MAX_GAMMA, name_of
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Number, Query, View
 from worker import store
@@ -37,8 +37,6 @@ from worker.orbits.specification import DIMS, OrbitsSpec
 from worker.spec.contact_models import Rigid, Soft
 from worker.sweep import AXES, SweepSpec
 
-#: Γ at which followed branches are cut by default.
-GAMMA_MAX: Final = 8.0
 #: Estimated bytes of an answer.
 _MEMORY: Final = 16 * 2**20
 _OF_SKIPPED: Final = Skipped._fields[1:]

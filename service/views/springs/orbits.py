@@ -31,6 +31,7 @@ from service.views.springs.branches import (
     with_flights,
 )
 from service.views.springs.queries import (
+    GAMMA_MAX,
     MAX_GAMMA,
     ContactQuery,
     GammaMax,
@@ -68,7 +69,7 @@ class OrbitsQuery(ContactQuery):
     omega: Omega
     xi: Xi
     modes: Modes = "1-1,1-2"
-    gamma_max: GammaMax = 8.0
+    gamma_max: GammaMax = GAMMA_MAX
     points: int = Field(
         400, ge=10, le=MAX_POINTS, description="points of a branch, about; with a `model`, at most, each way"
     )
@@ -208,6 +209,8 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
         raise InvalidRequest.of("gamma", "is required where omega or xi varies, and not where gamma does")
     if query.along != "gamma" and plate is None:
         raise InvalidRequest.of("along", "must be gamma without a model")
+    if query.along != "gamma" and query.gamma_max != GAMMA_MAX:  # the client sends its default
+        raise InvalidRequest.of("gamma_max", f"is of branches along gamma, and these are along {query.along}")
     if plate is not None:
         lengths = [2 * query.points] * (_FAMILIES * (1 + query.doubled) * len(lengths))
         seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS
