@@ -24,6 +24,7 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -45,7 +46,7 @@ from service.jobs.prepare import PreparedJob
 from service.jobs.stores.opening import open_ledger
 from service.ledger.ledger import Ledger
 from service.ledger.model import UNFINISHED, JobRecord, JobState
-from service.settings import Settings
+from service.settings import MOST_WORKERS, Settings
 from service.views import audit, exports
 from service.views.difference import changed
 from service.views.registry import VIEWS, admit, answer, stored
@@ -58,7 +59,7 @@ from worker.files import complete_file, sync
 from worker.kernel_cache import use_cache
 from worker.ownership import temporary_folder
 from worker.spec.contact_models import CONTACT_MODELS
-from worker.spec.errors import Problem, SpecInvalid, rule_of
+from worker.spec.errors import Problem, SpecInvalid, describe, rule_of
 from worker.studies import from_json, renewed, study_of
 from worker.sweep import SweepSpec
 from worker.sweep.levels import cells, steps_of
@@ -107,7 +108,7 @@ def run(
         they are used. A complete store of the same study is returned. Without a store, the results are held
         in memory.
     workers
-        Computing threads, by default one per core.
+        Computing threads, from 1 to 1,024, by default one per core.
     progress
         As in `Job.wait`.
     budget
@@ -286,13 +287,17 @@ def computed(
     began: when the budget began, by `time.monotonic`; by default now.
     """
     began = time.monotonic() if began is None else began
+    threads: Any = cores() if workers is None else workers
+    if not (isinstance(threads, Integral) and 1 <= int(threads) <= MOST_WORKERS):
+        rule = f"must be a whole number from 1 to {MOST_WORKERS:,}, not {describe(threads)}"
+        raise InvalidRequest.of("workers", rule)
     use_cache()
     parsed = from_json(body(spec))
     if budget is not None:
         budgets.check(parsed.protocol.kind, budget)
     settings = _settings(folder)
     folder.mkdir(mode=0o700, exist_ok=True)
-    with open_ledger(settings) as ledger, closing(Inline(workers or cores())) as executor:
+    with open_ledger(settings) as ledger, closing(Inline(int(threads))) as executor:
         manager = JobManager(ledger, executor, settings)
         manager.check(parsed)
         _check_folder(ledger, parsed, folder, levels=budget is not None)

@@ -34,6 +34,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=2**62)]
 
 #: Host names and addresses of this machine's loopback interface.
+MOST_WORKERS: Final = 1024
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
@@ -101,7 +102,7 @@ class Settings(BaseSettings):
 
     # The cluster
 
-    workers: int = Field(2, ge=1, le=1024, description="Worker processes of the embedded cluster.")
+    workers: int = Field(2, ge=1, le=MOST_WORKERS, description="Worker processes of the embedded cluster.")
     scheduler: str | None = Field(None, description="Address of a Dask scheduler to compute with.")
     scheduler_file: Path | None = Field(
         None, description="File written by `dask scheduler --scheduler-file`."

@@ -98,6 +98,9 @@ def test_a_broken_specification_names_field_and_rule_and_leaves_nothing(tmp_path
         local.run(SPEC | {"gamma": {"start": 1, "stop": 2, "num": 0}}, tmp_path / "a.zarr", progress=False)
     with pytest.raises(InvalidSpecification, match="omega: must be finite"):
         local.run(SPEC | {"omega": float("nan")}, tmp_path / "a.zarr", progress=False)
+    for workers in (-1, 0, 1.5, "2", 10**9):
+        with pytest.raises(InvalidRequest, match="workers: must be a whole number from 1 to 1,024, not"):
+            local.run(SPEC, tmp_path / "a.zarr", workers=workers, progress=False)
     with pytest.raises(InvalidRequest, match="store: is a folder of zarr, not"):
         local.run(SPEC, tmp_path / "a.nc", progress=False)
     assert not list(tmp_path.iterdir())
