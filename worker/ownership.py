@@ -47,7 +47,10 @@ def make_private(folder: Path) -> None:
     mode = stat.S_IMODE(status.st_mode)
     if not mode & _OTHERS:
         return
-    if (mode & stat.S_ISVTX and mode & stat.S_IWOTH) or folder.samefile("/"):
+    # folders beside our own that others may enter, as in / and /usr
+    others = (x for x in folder.iterdir() if x.name != "stores" and x.suffix != ".zarr" and x.is_dir())
+    are_open = any(x.stat().st_mode & stat.S_IXOTH for x in others)
+    if (mode & stat.S_ISVTX and mode & stat.S_IWOTH) or are_open:
         raise NotOurs(f"{folder} is shared by all users of this machine")
     try:
         folder.chmod(mode & ~_OTHERS)

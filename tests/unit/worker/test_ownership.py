@@ -47,10 +47,15 @@ def test_a_folder_that_is_open_is_closed_with_a_warning(folder: Path, caplog, be
 
 
 def test_a_folder_that_all_users_share_is_refused_as_it_is(folder: Path):
-    folder.chmod(0o1777)  # as /tmp
-    with pytest.raises(NotOurs, match=f"^{folder} is shared by all users"):
-        make_private(folder)
-    assert mode(folder) == 0o1777
+    for before, inner in ((0o1777, 0o700), (0o755, 0o755)):  # as /tmp, as /usr
+        folder.chmod(before)
+        (folder / "inner").chmod(inner)
+        with pytest.raises(NotOurs, match=f"^{folder} is shared by all users"):
+            make_private(folder)
+        assert mode(folder) == before
+    (folder / "inner").rename(folder / "stores")  # whose service was not private
+    make_private(folder)
+    assert mode(folder) == 0o700
 
 
 @ROOT_ONLY
