@@ -41,7 +41,7 @@ def open_store(transport: Transport, path: str, job_id: str, *, chunks: Any = No
     try:
         store = HTTPStore(transport, path)
         dataset: xarray.Dataset = xarray.open_zarr(store, consolidated=True, chunks=chunks, zarr_format=3)
-    except (FileNotFoundError, ValueError) as error:
+    except FileNotFoundError as error:
         raise StoreUnreachable(f"job {job_id} has no store yet: it has not started") from error
     # Not every xarray writes texts of any length to a file; all write those of fixed length.
     texts = {
