@@ -28,6 +28,8 @@ from service.client import (
 from service.client.models import Problem
 from worker.executors.base import Executor
 from worker.executors.inline import Inline
+from worker.spec.axes import Range
+from worker.spec.contact_models import Rigid
 from worker.sweep import SweepSpec
 
 SPEC: dict[str, Any] = {**TWO_LINES, "name": "coarse <figure 2>", "settle": 100}
@@ -64,7 +66,8 @@ def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, 
         "gamma = {start = 0.5, stop = 5.0, num = 46}\n"
     )
     in_numpy = SPEC | {"omega": np.array([0.5, 0.7]), "xi": np.float64(0.26), "keep": np.int64(8)}
-    for form in (SPEC, as_json, str(as_json), as_toml, in_numpy, SweepSpec.parse(SPEC)):
+    in_parts = SPEC | {"gamma": Range(start=0.5, stop=5.0, num=46), "model": Rigid()}
+    for form in (SPEC, as_json, str(as_json), as_toml, in_numpy, in_parts, SweepSpec.parse(SPEC)):
         assert client.submit(form).id == job.id
 
 
