@@ -55,7 +55,8 @@ class UnknownJob(ServiceError, status=404):
     @classmethod
     def of(cls, job_id: str) -> "UnknownJob":
         """The error for one id."""
-        return cls(f"no job has the id {job_id[:64]!a}: was it deleted?")
+        why = "was it deleted?" if len(job_id) == 32 else "an id is 32 hex digits"
+        return cls(f"no job has the id {job_id[:64]!a}: {why}")
 
 
 class KeyReused(ServiceError, status=409):

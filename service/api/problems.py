@@ -22,7 +22,15 @@ from service.api.schemas import PartsView, PendingView
 from service.errors import LedgerUnavailable, ServiceError
 from service.jobs.on_demand import Pending
 from worker import store
-from worker.spec.errors import Problem, SpecError, SpecTooLarge, SpecUnreadable, code_of, rule_of
+from worker.spec.errors import (
+    Problem,
+    SpecError,
+    SpecTooLarge,
+    SpecUnreadable,
+    code_of,
+    did_you_mean,
+    rule_of,
+)
 from worker.store import StoreDamaged, StoreError
 
 log = logging.getLogger(__name__)
@@ -113,9 +121,11 @@ def _pending(request: Request, pending: Any) -> Response:
     return Response(content, 202, {"Retry-After": "1"}, "application/json")
 
 
-def _invalid(_: Request, error: Any) -> Response:
+def _invalid(request: Request, error: Any) -> Response:
     """422 for query parameters and headers; without the input, which may not be valid JSON."""
-    problems = [_problem(entry) for entry in error.errors()]
+    models = (field.field_info.annotation for field in request.scope["route"].dependant.query_params)
+    known = [name for model in models for name in getattr(model, "model_fields", ())]
+    problems = [_problem(entry, known) for entry in error.errors()]
     return ProblemResponse(422, "; ".join(map(str, problems)), problems)
 
 
@@ -126,12 +136,13 @@ _PATTERNS: Final = {
 }
 
 
-def _problem(entry: Mapping[str, Any]) -> Problem:
+def _problem(entry: Mapping[str, Any], known: Sequence[str]) -> Problem:
     """A broken rule of the parameter at `loc`: `("query", "limit")` is `limit`."""
     kind, (first, *loc) = entry["type"], entry["loc"]
     name = ".".join(map(str, loc)) or str(first)
     by_pattern = _PATTERNS.get(name) if kind == "string_pattern_mismatch" else None
-    return Problem(name, by_pattern or rule_of(entry), code_of(kind))
+    hint = f"{did_you_mean(name, known) or ';'} the parameters are {', '.join(known)}"
+    return Problem(name, (by_pattern or rule_of(entry)) + hint * (kind == "extra_forbidden"), code_of(kind))
 
 
 def _http(request: Request, refusal: Any) -> Response:

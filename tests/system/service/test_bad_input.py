@@ -62,6 +62,8 @@ REQUESTS = {
     "a made-up method": ("BREW", "/v1/jobs", 405, "/v1/jobs does not support BREW"),
     "an unknown id": ("GET", "/v1/jobs/" + "0" * 32, 404, "no job has the id"),
     "an id that is a path": ("GET", "/v1/jobs/..%2F..%2Fledger.sqlite", 404, ""),
+    "the start of an id": ("GET", "/v1/jobs/0000", 404, "an id is 32 hex digits"),
+    "a parameter misspelt": ("GET", "/v1/jobs?stat=done", 422, "did you mean 'state'? the parameters are"),
     "an id that is not UTF-8": ("GET", "/v1/jobs/%ff%fe", 404, "no job has the id"),
     "cancelling what is done": ("POST", "{job}/cancel", 409, "the job is done"),
     "a limit without end": ("GET", "/v1/jobs?limit=" + "9" * 5000, 422, "limit"),
