@@ -217,9 +217,10 @@ def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.
 
 
 def _new_axes() -> pictures.Axes:
-    """The current axes of pyplot if it is in use, as in a notebook; those of a new figure otherwise."""
-    pyplot = sys.modules.get("matplotlib.pyplot")
-    if pyplot is not None:
+    """The current axes of pyplot if it is in use, or in a notebook; those of a new figure otherwise."""
+    if not sys.modules.keys().isdisjoint(("matplotlib.pyplot", "ipykernel")):
+        from matplotlib import pyplot  # shows them below the cell
+
         axes: pictures.Axes = pyplot.gca()
         return axes
     from matplotlib.figure import Figure

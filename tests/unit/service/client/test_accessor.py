@@ -1,5 +1,7 @@
 """`dataset.bounce`: flights as a table, and plots of results that are Datasets already."""
 
+import sys
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -45,6 +47,17 @@ def test_a_line_of_a_sweep_is_a_diagram(sweep: xarray.Dataset):
     times = line.flight_time.values
     np.testing.assert_array_equal(drawn[:, 1], times[np.isfinite(times)])
     assert r"$\Omega$ = 0.6" in ax.get_title()
+
+
+def test_a_notebook_shows_a_plot(sweep: xarray.Dataset, monkeypatch: pytest.MonkeyPatch):
+    from matplotlib import pyplot
+
+    monkeypatch.delitem(sys.modules, "matplotlib.pyplot")
+    sweep.bounce.plot(omega=0.6)
+    assert not pyplot.get_fignums()
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    assert sweep.bounce.plot(omega=0.6) is pyplot.gca()
+    pyplot.close()
 
 
 def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
