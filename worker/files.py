@@ -15,6 +15,9 @@ from typing import IO, Final
 #: Links in these folders stand for streams that are open.
 _STREAMS: Final = tuple(map(Path, ("/dev", "/dev/fd", "/proc/self/fd")))
 
+#: Errors of writing, which do not name the file.
+_OF_WRITES: Final = (errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOSPC)
+
 
 @contextmanager
 def complete_file(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
@@ -47,7 +50,8 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
             yield file
         draft.replace(path)
     except OSError as error:
-        if error.filename != str(draft):
+        written = error.filename is None and error.errno in _OF_WRITES
+        if error.filename != str(draft) and not written:
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
