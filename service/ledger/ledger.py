@@ -229,8 +229,10 @@ NOT_LOCAL: Final = (
 
 #: SQLite's codes for a damaged file.
 _DAMAGE: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
-#: Its codes for a file that is locked or another user's: nothing is wrong with its contents.
-_REFUSED: Final = frozenset({sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY})
+#: Its codes for a file that is locked or another user's, and a full disk: the contents are as they were.
+_REFUSED: Final = frozenset(
+    {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY}
+)
 
 
 @contextmanager
