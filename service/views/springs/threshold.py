@@ -175,7 +175,9 @@ _PER_SPRING: Final = 1_000
 _ALONE: Final = {"lifetime", "delta", *(row.name for row in (*ENERGY, *proofs.OF_THRESHOLD))}
 _OF_GRID: Final = tuple(row for row in _OF_SPRING if row.name not in _ALONE)
 
-Values = Annotated[str, Field(max_length=4_000, description="values, as 0.45,0.46, or start:stop:number")]
+Values = Annotated[str, Field(description="values, as 0.45,0.46, or start:stop:number")]
+#: Limit on the characters of values.
+_MOST_TEXT: Final = 32_000
 
 
 class GridQuery(SearchQuery):
@@ -195,6 +197,8 @@ class _Axes(Strict):
 def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
     """The values of an axis, as numbers or start:stop:number. Raises InvalidRequest or SpecInvalid."""
     text = getattr(query, name)
+    if len(text) > _MOST_TEXT:
+        raise InvalidRequest.of(name, "is too long a list: write evenly spaced values as start:stop:number")
     if re.fullmatch(r"\d+,\d+", text.strip()):  # 0,26 is 0.26 to many; 0.5,0.6 and 1, 2 are lists
         rule = f"write a decimal point, as {text.replace(',', '.')}, or a space between two values"
         raise InvalidRequest.of(name, rule)

@@ -404,6 +404,7 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
     ({"omega": "0.6,x"}, "omega: must be numbers, as 0.45,0.46, or start:stop:number"),
     ({"omega": "1_0"}, "omega: must be numbers, as 0.45,0.46, or start:stop:number"),
     ({"xi": "\u0661"}, "xi: must be numbers, as 0.45,0.46, or start:stop:number"),
+    ({"xi": "0.1," * 9_000}, "xi: is too long a list: write evenly spaced values as start:stop:number"),
     ({"omega": "0.6,0.5"}, "omega: must increase, but 0.6 is followed by 0.5; sort and drop repeats"),
     ({"omega": "0.4:0.5:1"}, "omega.num: must be at least 2 to reach from start to stop"),
     ({"omega": "0.5:0.6:99999"}, "omega: must be fewer: 4,000 springs take 4,000 core-seconds"),
