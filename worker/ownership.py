@@ -28,6 +28,8 @@ PRIVATE_FILE: Final = 0o600
 #: In a temporary folder, locked as long as its process lives.
 _MARK: Final = ".in-use"
 
+_ROOT: Final = Path("/")
+
 _temporary: Final[set[Path]] = set()
 
 
@@ -47,10 +49,7 @@ def make_private(folder: Path) -> None:
     mode = stat.S_IMODE(status.st_mode)
     if not mode & _OTHERS:
         return
-    # folders beside our own that others may enter, as in / and /usr
-    others = (x for x in folder.iterdir() if x.name != "stores" and x.suffix != ".zarr" and x.is_dir())
-    are_open = any(x.stat().st_mode & stat.S_IXOTH for x in others)
-    if (mode & stat.S_ISVTX and mode & stat.S_IWOTH) or are_open:
+    if (mode & stat.S_ISVTX and mode & stat.S_IWOTH) or _is_of_system(folder.resolve()):
         raise NotOurs(f"{folder} is shared by all users of this machine")
     try:
         folder.chmod(mode & ~_OTHERS)
@@ -61,6 +60,12 @@ def make_private(folder: Path) -> None:
         for path in folder.iterdir():
             if not _is_ours(path.lstat()):
                 raise NotOurs(f"{path} belongs to another user, who could write to {folder}")
+
+
+def _is_of_system(folder: Path) -> bool:
+    """Whether this is the root, or a folder in it with folders, beside our own, that others may enter."""
+    inner = (x for x in folder.iterdir() if x.name != "stores" and x.suffix != ".zarr" and x.is_dir())
+    return folder.parent == _ROOT and any(x.stat().st_mode & stat.S_IXOTH for x in inner)
 
 
 def check_unshared(root: Path) -> None:

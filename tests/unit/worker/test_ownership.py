@@ -46,8 +46,9 @@ def test_a_folder_that_is_open_is_closed_with_a_warning(folder: Path, caplog, be
     ]
 
 
-def test_a_folder_that_all_users_share_is_refused_as_it_is(folder: Path):
-    for before, inner in ((0o1777, 0o700), (0o755, 0o755)):  # as /tmp, as /usr
+def test_a_folder_that_all_users_share_is_refused_as_it_is(folder: Path, monkeypatch):
+    for before, inner, root in ((0o1777, 0o700, Path("/")), (0o755, 0o755, folder.parent)):  # /tmp, /usr
+        monkeypatch.setattr("worker.ownership._ROOT", root)
         folder.chmod(before)
         (folder / "inner").chmod(inner)
         with pytest.raises(NotOurs, match=f"^{folder} is shared by all users"):
