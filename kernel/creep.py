@@ -3,6 +3,7 @@
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kernel.cycles.any_contact import repeats
 from kernel.cycles.cycles import Point, cycle_from
@@ -24,8 +25,12 @@ LONGEST: Final = 24
 
 #: Rounds of a torus, most plate periods of the cycle inside it, and states from which the cycle is sought.
 _ROUNDS, _AROUND, _GUESSES = 6_000, 8, 16
-#: Largest error of a rotation number: absolute, and relative.
-_ERROR, _RELATIVE_ERROR = 1e-4, 0.1
+#: Relative steps of differences of the map around that cycle.
+_DIFFERENCE: Final = 1e-6
+#: Largest change of a rotation number from a half of the turns: absolute, and relative.
+_CHANGE, _RELATIVE_CHANGE = 1e-4, 0.1
+#: Its error in such changes: a motion may still approach its torus.
+_CAUTION: Final = 3.0
 
 
 class Crept(NamedTuple):
@@ -126,7 +131,7 @@ def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
 def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
     """The rotation of a settled motion, in a state (6,) at phase 0, around an unstable cycle; None if none.
 
-    The number is a weighted mean of the turns; its error is the larger change from a half of them. Newton's
+    The number is a weighted mean of the turns; its error is thrice the change from a half of them. Newton's
     method seeks the cycle from the motion's mean state and from some of its states.
     """
     for periods in range(1, _AROUND + 1):
@@ -135,16 +140,32 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
             around = cycle_from(plate, cell, periods, guess)
             if around is None or around.multipliers[0].imag == 0.0 or repeats(around):
                 continue
-            centre = _strobed(plate, cell, around.state, 1, 1)[:, 4:]
-            q, q1 = ((states[:, 4:] - centre) / np.abs(centre)).T
-            turns = np.diff(np.arctan2(q1, q)) / TWO_PI
+            turns = np.diff(np.angle(_on_plane(plate, cell, around, states))) / TWO_PI
             turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
             number = _mean(turns)
-            error = max(abs(number - _mean(half)) for half in np.array_split(turns, 2))
+            change = max(abs(number - _mean(half)) for half in np.array_split(turns, 2))
             number = abs(number - round(number))
-            if error < min(_ERROR, _RELATIVE_ERROR * number):  # number 0: the cycle lies outside
-                return Rotation(number, error, around)
+            if change < min(_CHANGE, _RELATIVE_CHANGE * number):  # number 0: the cycle lies outside
+                return Rotation(number, _CAUTION * change, around)
     return None
+
+
+def _on_plane(plate: Any, cell: Cell, around: Point, states: Floats) -> NDArray[np.complex128]:
+    """States (n, 6) at phase 0 in the plane in which motions turn around a cycle, as complex numbers (n,).
+
+    With a gap a state has four dimensions: a torus can cross itself in a plane that is not this one.
+    """
+    centre = _strobed(plate, cell, around.state, 1, 1)[0]
+    first = 2 if centre[2] else 4  # without a gap, elongation and its velocity are the state
+    step = _DIFFERENCE * np.maximum(np.abs(centre[first:]), _DIFFERENCE)
+    moved = np.tile(centre, (2 * step.size, 1))
+    moved[:, first:] += np.vstack([np.diag(step), -np.diag(step)])
+    gamma, periods = np.full(len(moved), cell.gamma), around.cycles.periods
+    after = run(plate, gamma, cell.omega, cell.xi, moved, periods - 1, 1)
+    up, down = np.split(after.end_state[:, first:], 2)
+    values, vectors = np.linalg.eig((up - down) / (2.0 * step[:, None]))
+    plane: NDArray[np.complex128] = (states - centre)[:, first:] @ vectors[:, np.argmax(np.abs(values))]
+    return plane
 
 
 def _strobed(plate: Any, cell: Cell, state: Floats, periods: int, rounds: int) -> Floats:

@@ -72,6 +72,16 @@ def test_a_rotation_number_is_that_of_the_flights():
     assert strongest / len(flights) == pytest.approx(found.number, abs=3e-4)
 
 
+def test_a_torus_in_flight_at_each_period_turns_in_the_plane_of_its_cycle():
+    """By elongation and velocity alone it seems to turn by 0.0046."""
+    plate, cell = rigid(0.3), Cell(3.432424146, 0.9068539450, 0.0378609478)
+    state = np.array([[0.0, 1.0, 0.007789, 0.165388, -0.732039, 0.767103]])
+    line = run(plate, np.array([cell.gamma]), cell.omega, cell.xi, state, 5_000, 200)
+    found = rotation(plate, cell, line.end_state[0])
+    assert found.number == pytest.approx(np.angle(found.around.multipliers[0]) / (2.0 * np.pi), abs=1e-3)
+    assert found.number == pytest.approx(0.436002, abs=1e-5)
+
+
 def test_nothing_is_found_where_nothing_bounces_below_rest():
     result = search(rigid(0.0), 0.5, 0.26, effort=0)
     assert math.isnan(result.gamma)
