@@ -1,6 +1,7 @@
 """One chunk: what is stored is what the kernel says of its cells, line by line, and nothing else."""
 
-from pathlib import Path
+import errno
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -169,7 +170,8 @@ def test_a_chunk_whose_checkpoint_cannot_be_written_goes_on(tmp_path, monkeypatc
     spec = small()
     plan, url = stored(tmp_path, spec)
     _, whole = stored(tmp_path / "whole", spec)
-    Path(url, ".checkpoint-0").mkdir()  # where the file should be
+    full = Mock(side_effect=OSError(errno.ENOSPC, "No space left on device"))
+    monkeypatch.setattr("worker.store.write_checkpoint", full)
     with with_options(ChunkOptions(0.0, begins=True)):
         run_chunk(spec, plan[0], url)
     run_chunk(spec, plan[0], whole)
