@@ -25,7 +25,7 @@ LONGEST: Final = 24
 
 #: Rounds of a torus, most plate periods of the cycle inside it, and states from which the cycle is sought.
 _ROUNDS, _AROUND, _GUESSES = 6_000, 8, 16
-#: Relative steps of differences of the map around that cycle.
+#: Relative steps of differences of the map around that cycle, and the least value that they are relative to.
 _DIFFERENCE: Final = 1e-6
 #: Largest change of a rotation number from a half of the turns: absolute, and relative.
 _CHANGE, _RELATIVE_CHANGE = 1e-4, 0.1

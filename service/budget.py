@@ -56,7 +56,7 @@ class Runner(Protocol):
         """Compute a sweep for at most `seconds`; whether it is complete then."""
 
     def changed(self) -> float | None:
-        """The share of the last complete level's points where the one before it shows another mode.
+        """The share of the last complete level's cells where the one before it shows another mode.
 
         None if that cannot be read.
         """
@@ -73,7 +73,6 @@ class Level:
     steps: Steps
     cells: int
     seconds: float  # that the level took, also where it was complete before; 0 if that is not known
-    changed: float | None = None  # share of its points where the level before shows another mode
 
 
 @dataclass
@@ -117,23 +116,23 @@ def within(
     started = clock() - began
     whole_budget, budget = budget, started + usable(budget, started)
     reserved = AUDIT * budget
-    whole, gap = cells(spec, WHOLE), ""
+    whole, changed = cells(spec, WHOLE), ""
     by_table = whole / runner.seconds(spec)  # cells in a second
     complete = next((steps for steps in (WHOLE, known) if steps and runner.is_done(level(spec, steps))), None)
     steps: Steps | None = complete or (WHOLE if AT_ONCE * budget * by_table >= whole else coarsest(spec))
     while steps is not None:
         part, left = level(spec, steps), budget - (clock() - began)
         earlier = runner.took(part) if runner.is_done(part) else None
-        said = f"{cells(spec, steps):,} cells{_thinning(steps)}{gap and '; the last level'}{gap}"
+        said = f"{cells(spec, steps):,} cells{_thinning(steps)}{changed and '; the last level'}{changed}"
         show(said, max(left, 0.0))
         now = clock()
         # the first level may take all of the time: without it there is no answer
         if left <= 0.0 or not runner.compute(part, left - (reserved if answer.levels else 0.0)):
             break
         took = clock() - now if earlier is None else earlier
-        changed = runner.changed() if answer.levels else None
-        gap = "" if changed is None else f" changed {100.0 * changed:.2g} % of the picture"
-        answer.levels.append(Level(part, steps, cells(spec, steps), took, changed))
+        share = runner.changed() if answer.levels else None
+        changed = "" if share is None else f" changed {100.0 * share:.3g} % of the picture"
+        answer.levels.append(Level(part, steps, cells(spec, steps), took))
         left = (budget - (clock() - began) - reserved) / MARGIN
         timed = [done for done in answer.levels if done.seconds > 0.0]
         if steps == WHOLE:
@@ -147,7 +146,7 @@ def within(
     left = budget - (clock() - began)
     ending = f"no audit: less than {LEAST_AUDIT:g} s is left"
     if left >= LEAST_AUDIT:
-        show(f"audit of the last level{gap and ', which'}{gap}", left)
+        show(f"audit of the last level{changed and ', which'}{changed}", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
         ending = answer.audit or "no audit: it would take longer than is left"
     show(ending, 0.0)

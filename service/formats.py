@@ -46,8 +46,7 @@ _UNITS: Final = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 def seconds_of(text: object) -> float:
     """The seconds of a time written as 90, 90s, 5m or 1.5h. Raises ValueError."""
-    number = r"((?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:e[+-]?[0-9]+)?)"
-    match = re.fullmatch(rf"\s*{number}\s*(s|m|min|h|)\s*", str(text))
+    match = re.fullmatch(r"\s*((?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*(s|m|min|h|)\s*", str(text), re.ASCII)
     if match is None or not (seconds := float(match[1]) * _UNITS[match[2]]):
         raise ValueError(f"must be seconds above 0, or a time such as 90s, 5m or 1h, not {str(text)!r:.40}")
     return seconds

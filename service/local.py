@@ -24,7 +24,6 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
-from numbers import Integral
 from pathlib import Path
 from typing import Any, Final, NamedTuple, cast
 
@@ -287,8 +286,8 @@ def computed(
     began: when the budget began, by `time.monotonic`; by default now.
     """
     began = time.monotonic() if began is None else began
-    threads: Any = cores() if workers is None else workers
-    if not (isinstance(threads, Integral) and 1 <= int(threads) <= MOST_WORKERS):
+    threads = min(cores(), MOST_WORKERS) if workers is None else workers
+    if threads not in range(1, MOST_WORKERS + 1):
         rule = f"must be a whole number from 1 to {MOST_WORKERS:,}, not {describe(threads)}"
         raise InvalidRequest.of("workers", rule)
     use_cache()
@@ -374,9 +373,8 @@ class _Runner:
     def changed(self) -> float | None:
         assert self._last is not None
         assert self._before is not None
-        study, other = (stored(level.record, level.job) for level in (self._last, self._before))
-        with suppress(stores.StoreError):
-            return changed(replace(study, other=other))
+        with suppress(OSError, stores.StoreError):
+            return changed(*(stored(level.record, level.job) for level in (self._last, self._before)))
         return None
 
     def audit(self, spec: Any, seconds: float) -> str | None:

@@ -33,8 +33,9 @@ Port = Annotated[int, Field(ge=0, le=65535)]
 Positive = Annotated[float, Field(gt=0, le=1e9)]
 Count = Annotated[int, Field(ge=1, le=2**62)]
 
-#: Host names and addresses of this machine's loopback interface.
 MOST_WORKERS: Final = 1024
+
+#: Host names and addresses of this machine's loopback interface.
 LOOPBACK_NAMES: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 
 

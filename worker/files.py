@@ -15,8 +15,8 @@ from typing import IO, Final
 #: Links in these folders stand for streams that are open.
 _STREAMS: Final = tuple(map(Path, ("/dev", "/dev/fd", "/proc/self/fd")))
 
-#: Errors of writing, which do not name the file.
-_OF_WRITES: Final = (errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOSPC)
+#: Errors of writing alone, which do not name the file.
+_OF_WRITES: Final = (errno.EDQUOT, errno.EFBIG, errno.ENOSPC)
 
 
 @contextmanager
@@ -50,8 +50,7 @@ def replacing(path: Path, *, private: bool = False) -> Iterator[IO[bytes]]:
             yield file
         draft.replace(path)
     except OSError as error:
-        written = error.filename is None and error.errno in _OF_WRITES
-        if error.filename != str(draft) and not written:
+        if error.filename != str(draft) and (error.filename or error.errno not in _OF_WRITES):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:

@@ -50,7 +50,7 @@ def make_private(folder: Path) -> None:
     if not mode & _OTHERS:
         return
     if (mode & stat.S_ISVTX and mode & stat.S_IWOTH) or _is_of_system(folder.resolve()):
-        raise NotOurs(f"{folder} is shared by all users of this machine")
+        raise NotOurs(f"{folder} is shared by all users of this machine: name a folder in it")
     try:
         folder.chmod(mode & ~_OTHERS)
         log.warning("%s was open to other users of this machine (mode %04o); it is closed now", folder, mode)
@@ -64,8 +64,11 @@ def make_private(folder: Path) -> None:
 
 def _is_of_system(folder: Path) -> bool:
     """Whether this is the root, or a folder in it with folders, beside our own, that others may enter."""
-    inner = (x for x in folder.iterdir() if x.name != "stores" and x.suffix != ".zarr" and x.is_dir())
-    return folder.parent == _ROOT and any(x.stat().st_mode & stat.S_IXOTH for x in inner)
+    return folder.parent == _ROOT and any(
+        inner.is_dir() and inner.stat().st_mode & stat.S_IXOTH
+        for inner in folder.iterdir()
+        if inner.name != "stores" and ".zarr" not in inner.suffixes
+    )
 
 
 def check_unshared(root: Path) -> None:

@@ -88,7 +88,7 @@ def submit(
 @query_options(ResultMethods, name="diagram")
 @format_option(*_RUN_FORMATS)
 @click.option("-o", "--output", type=click.Path(), required=True, help="File or zarr store to write.")
-@click.option("--workers", type=click.IntRange(min=1), help="Threads that compute.  [default: one per core]")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Threads.  [default: one per core]")
 @_effort_option
 @_budget_option
 def run(

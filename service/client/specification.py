@@ -66,7 +66,7 @@ def _content(spec: Specification) -> object:
 
 def _json_value(value: object, field: str) -> object:
     """The value in JSON's own types; `field` is its path, such as `gamma.start`."""
-    if hasattr(value, "model_dump"):  # a Range, a contact
+    if hasattr(value, "model_dump") and not isinstance(value, type):  # a Range, a contact
         value = value.model_dump(mode="json")
     if isinstance(value, Mapping):
         return {str(name): _json_value(item, f"{field}.{name}".lstrip(".")) for name, item in value.items()}

@@ -33,7 +33,7 @@ LOOK_SECONDS: Final = 0.05
 
 #: The sentence of a job's audit; None if it takes longer than this many seconds.
 Audit = Callable[[JobRecord, float], str | None]
-#: The share of a level's points where the level before it shows another mode; None if that cannot be read.
+#: The share of a level's cells where the level before it shows another mode; None if that cannot be read.
 Changed = Callable[[JobRecord, JobRecord], float | None]
 
 

@@ -193,7 +193,8 @@ class Supervisor:
         except Exception as error:  # noqa: BLE001 - for the reader
             repaired.set_exception(error)
             return
-        log.error("job %s: %s", job_id, result.detail)
+        if result.unmarked:
+            log.error("job %s: %s", job_id, result.detail)
         self.metrics.damaged.inc(len(result.unmarked))
         if (run := self._runs.get(job_id)) is not None:
             run.queue.invalidate(result.unmarked)

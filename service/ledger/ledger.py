@@ -115,9 +115,10 @@ class Ledger(AbstractContextManager["Ledger"]):
         """
         try:
             self.check_stores()  # without a lock: a file system that hangs stops only this thread
-            if not self._closed and not os.fstat(self._lock.fileno()).st_nlink:
-                rule = "make sure that no other service uses it, and start this one again"
-                raise LedgerUnavailable(f"the lock of the data folder was removed: {rule}")
+            with suppress(ValueError):  # it is closed
+                if not os.fstat(self._lock.fileno()).st_nlink:
+                    rule = "make sure that no other service uses it, and start this one again"
+                    raise LedgerUnavailable(f"the lock of the data folder was removed: {rule}")
             self._stores_fault = None
         except LedgerUnavailable as error:
             self._stores_fault = str(error)

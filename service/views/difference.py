@@ -1,5 +1,6 @@
 """The difference of two sweeps: cells with other modes, and by how much thresholds move."""
 
+import math
 from collections.abc import Sequence
 from decimal import ROUND_CEILING, Context
 from itertools import product
@@ -104,13 +105,15 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     )  # fmt: skip
 
 
-def changed(study: selection.Stored[SweepSpec]) -> float:
-    """The share of a complete sweep's cells with another mode than the nearest cell of the `other` one.
+def changed(study: selection.Stored[SweepSpec], other: selection.Stored[SweepSpec]) -> float | None:
+    """The share of a complete sweep's cells with another mode than the nearest cell of the other one.
 
-    Of a sweep and a coarser one of the same axes it is how much of the coarser one's picture is wrong.
+    Of a sweep and a coarser one of the same axes it is how much of the coarser one's picture is wrong. None
+    if a plane is too large to be read.
     """
-    spec, other = study.spec, study.other
-    assert other is not None
+    spec = study.spec
+    if math.prod(spec.shape[2:]) > selection.MAX_READ:
+        return None
     (near_xi, *near), _ = _nearest(spec, other.spec, axes=AXES)
     names, found = selection.arrays_of_modes(spec, None), []
     for direction, (xi, other_xi) in product(spec.directions, enumerate(near_xi)):

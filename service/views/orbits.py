@@ -27,7 +27,7 @@ from service.views.springs.branches import (
     pieces_below,
     with_flights,
 )
-from service.views.springs.queries import GAMMA_MAX, MAX_GAMMA, name_of
+from service.views.springs.queries import GAMMA_MAX, MAX_GAMMA, ONLY_ALONG_GAMMA, name_of
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Number, Query, View
 from worker import store
@@ -99,6 +99,8 @@ def parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call]:
     span = 0.5 * float(values[0]), 2.0 * float(values[-1])
     if query.along == "gamma":
         span = RANGE[0], query.gamma_max or GAMMA_MAX
+    elif query.gamma_max is not None:
+        raise InvalidRequest.of("gamma_max", ONLY_ALONG_GAMMA.format(query.along))
     return [(follow_cells, spec, study.url, query.along, lines, span, study.complete, query.doubled)]
 
 

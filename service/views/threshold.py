@@ -301,10 +301,7 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
         "take smaller ones, or start on the cycle"
     )
     if prediction.cause == prediction.at_rest:
-        why = (
-            f"the sweep stops bouncing {above:.3g} above {prediction.cause}: it still settles, or its window "
-            "is short"
-        )
+        why = f"bouncing stops {above:.3g} above where rest ends: it still settles, or its window is short"
     elif spec.axis_values("gamma")[-1] < prediction.jump and down >= prediction.gamma_th - slack:
         why = f"the ramp begins below the jump at {prediction.jump:.6g}, on a cycle that shrinks to rest"
     elif -slack <= down - prediction.gamma_th <= spacing + slack:

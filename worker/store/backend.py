@@ -54,7 +54,7 @@ class StoreError(Exception):
 
 
 class Unreachable(BounceError):
-    """A bucket does not respond, or denies access; the reason in one line."""
+    """A bucket does not respond, is missing, or denies access; the reason in one line."""
 
 
 class StoreMissing(StoreError):
@@ -287,32 +287,28 @@ def remove(url: str) -> None:
 @contextmanager
 def _bucket(url: str, *further: type[Exception]) -> Iterator["S3Store"]:
     """The client of a bucket's prefix. Raises Unreachable for the client's errors and `further` ones."""
-    client = _client(url)
-    from obstore.exceptions import BaseError  # noqa: PLC0415 - comes with the extra `s3`
-
-    errors: tuple[type[Exception], ...] = (BaseError, *further)
+    errors: tuple[type[Exception], ...] = (_obstore().exceptions.BaseError, *further)
     try:
-        yield client
+        yield _client(url)
     except errors as error:
-        line, _, document = str(error).partition("\n\nDebug source")[0].partition("<?xml")
-        said = re.search("<Message>(.*?)</Message>", document)
-        reason = f"{line.rstrip()} {said[1] if said else ''}".partition("\n")[0].rstrip(" :")
-        raise Unreachable(reason) from None
+        line = re.sub(r"\s*(?:<\?xml.*?<Message>(.*?)</Message>|<\?xml|\n).*", r" \1", str(error), flags=re.S)
+        raise Unreachable(line.rstrip(" :")) from None
 
 
 @lru_cache(maxsize=256)
 def _client(url: str) -> "S3Store":
     """Client of a bucket's prefix, cached with its connections."""
-    store: S3Store = _obstore().S3Store.from_url(url, retry_config={"retry_timeout": _RETRY_TIMEOUT})
+    store: S3Store = _obstore().store.S3Store.from_url(url, retry_config={"retry_timeout": _RETRY_TIMEOUT})
     return store
 
 
 def _obstore() -> Any:
     try:
-        import obstore.store  # noqa: PLC0415 - comes with the extra `s3`
+        import obstore.exceptions  # noqa: PLC0415 - comes with the extra `s3`
+        import obstore.store  # noqa: PLC0415
     except ImportError as error:
         raise StoreError('stores in a bucket need the extra s3: pip install -e ".[s3]"') from error
-    return obstore.store
+    return obstore
 
 
 @cache

@@ -163,10 +163,10 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
 
 
 def changed(service: Service, job: JobRecord, before: JobRecord) -> float | None:
-    """The share of a job's points where a coarser one shows another mode; None if that cannot be read."""
-    study = replace(dependencies.stored(service, job), other=dependencies.stored(service, before))
-    with suppress(StoreError, Unreachable, ServiceError):
-        return service.background.run(difference.changed, study)
+    """The share of a job's cells where a coarser one shows another mode; None if that cannot be read."""
+    studies = [dependencies.stored(service, level) for level in (job, before)]
+    with suppress(OSError, StoreError, Unreachable, ServiceError):
+        return service.background.run(difference.changed, *studies)
     return None
 
 

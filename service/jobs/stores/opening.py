@@ -45,13 +45,13 @@ class StoresMarker:
         """
         with self._ledger.reading() as reading:
             ours, made = reading.marker()
+        settings = self._settings
         try:
             marker = store.read_marker(self._url)
             if marker not in (None, "", ours) and (made or not self._within_data):
                 raise LedgerUnusable(self._foreign(str(marker)))
             # a marker that a power cut left empty is ours if the ledger knows one of the stores beside it
-            stored = _stored(self._settings)
-            emptied = marker == "" and (not stored or stored != find_unknown(self._ledger, self._settings))
+            emptied = marker == "" and find_unknown(self._ledger, settings) != (_stored(settings) or None)
             if marker != ours and (adopting or not made or emptied):
                 store.write_marker(self._url, ours)
             elif marker != ours:

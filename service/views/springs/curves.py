@@ -12,7 +12,15 @@ from kernel.cycles.events import KINDS, Kind, join_events, rows_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, legend_beside, values_at
 from service.views.springs.branches import EVENTS, ROWS, below, columns, cycle_result, event_columns, padded
-from service.views.springs.queries import ContactQuery, GammaMax, Modes, grid_length, name_of, parse_modes
+from service.views.springs.queries import (
+    GAMMA_MAX,
+    ContactQuery,
+    GammaMax,
+    Modes,
+    grid_length,
+    name_of,
+    parse_modes,
+)
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Omega, View, Xi
 from worker.analysis.cycles import CONTACT_CURVES, curves_seconds, follow_curves
@@ -41,7 +49,7 @@ class CurvesQuery(ContactQuery):
     xi_stop: Xi | None = None
     modes: Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
-    gamma_max: GammaMax = 8.0
+    gamma_max: GammaMax = GAMMA_MAX
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:

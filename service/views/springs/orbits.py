@@ -33,6 +33,7 @@ from service.views.springs.branches import (
 from service.views.springs.queries import (
     GAMMA_MAX,
     MAX_GAMMA,
+    ONLY_ALONG_GAMMA,
     ContactQuery,
     GammaMax,
     Modes,
@@ -210,7 +211,7 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
     if query.along != "gamma" and plate is None:
         raise InvalidRequest.of("along", "must be gamma without a model")
     if query.along != "gamma" and query.gamma_max != GAMMA_MAX:  # the client sends its default
-        raise InvalidRequest.of("gamma_max", f"is of branches along gamma, and these are along {query.along}")
+        raise InvalidRequest.of("gamma_max", ONLY_ALONG_GAMMA.format(query.along))
     if plate is not None:
         lengths = [2 * query.points] * (_FAMILIES * (1 + query.doubled) * len(lengths))
         seconds = _seconds(query) + sum(lengths) * CYCLE_SECONDS

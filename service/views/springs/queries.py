@@ -14,8 +14,12 @@ from worker.spec.contact_models import MAX_PENETRATION, MIN_PENETRATION, Contact
 from worker.spec.errors import BrokenRuleError, SpecInvalid
 
 Modes = Annotated[str, Field(max_length=200, description="bounces-periods, as 1-1,1-2; cycles of one bounce")]
-#: Γ at which branches and curves are cut by default, and the limit on it.
-GAMMA_MAX, MAX_GAMMA = 8.0, 1e6
+#: Γ at which branches and curves are cut by default.
+GAMMA_MAX: Final = 8.0
+#: Limit on Γ of branches and curves.
+MAX_GAMMA: Final = 1e6
+#: The rule for it.
+ONLY_ALONG_GAMMA: Final = "is of branches along gamma, and these are along {}"
 GammaMax = Annotated[
     Number, Field(gt=0, le=MAX_GAMMA, description="branches and curves are cut above this Γ")
 ]

@@ -123,7 +123,7 @@ DIFFERENCES: Final = [
     (0.6, 0.05, 0.45, 0.01, "another cycle lives 0.103 below the prediction"),
     (0.6, 0.05, 0.58, 0.02, "the ramp lost the cycle 0.0268 above the fold: its steps of 0.02 excite the"),
     (0.6, 0.05, 0.79, 0.07, "the ramp ends on another cycle, which shrinks to rest, 0.237 above the fold:"),
-    (0.5, 0.26, 1.1, 0.1, "the sweep stops bouncing 0.23 above Eq. 25: it still settles, or its window is"),
+    (0.5, 0.26, 1.1, 0.1, "bouncing stops 0.23 above where rest ends: it still settles, or its window is"),
 ]
 
 
