@@ -94,7 +94,7 @@ class Processes:
 
     def __init__(self, count: int, warm: Callable[[], object] = _do_nothing) -> None:
         self._changed = threading.Condition()
-        self._may_start, self._starting, self._warm = count, False, warm
+        self._most, self._starting, self._warm = count, False, warm
         self._idle: list[tuple[float, _Process]] = []  # idle since, the latest last
         self._started: set[_Process] = set()
         self._look: threading.Timer | None = None
@@ -104,19 +104,13 @@ class Processes:
         """Start the first process, before an answer needs it. Raises EOFError or OSError if it cannot."""
         if self._starting or self._started:
             return
-        process: _Process | None = None
-        try:
-            process = self._take()
-        finally:
-            self._put_back(process, keep=True)
+        self._put_back(self._take(), keep=True)
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
         keep, client = False, asker()
         try:
             process = self._take()
-            with self._changed:
-                self._changed.notify()  # another one may start now
             if client.left:  # while it started: the next answer needs it
                 keep = True
                 raise NotComputed("the client has left")
@@ -129,7 +123,8 @@ class Processes:
         except (EOFError, OSError) as error:
             raise NotComputed("the process that computed the answer has died: repeat the request") from error
         finally:  # an answer that cannot be unpickled ends it, too: the pipe may hold the rest
-            self._put_back(process, keep)
+            if process is not None:
+                self._put_back(process, keep)
             if client.left:
                 threading.Thread(target=self._start_again, daemon=True).start()
         if not succeeded:
@@ -151,10 +146,10 @@ class Processes:
             process.end()
 
     def _take(self) -> "_Process":
-        """An idle process or a new one. Raises OSError if none can be started."""
+        """An idle process or a new one. Raises EOFError or OSError if none can be started."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._idle or (self._may_start and not self._starting) or self._closed
+                lambda: self._idle or (len(self._started) < self._most and not self._starting) or self._closed
             )
             if self._closed:
                 raise OSError("closed")
@@ -164,8 +159,6 @@ class Processes:
                     return idle
                 idle.end()
                 self._started -= {idle}
-                self._may_start += 1
-            self._may_start -= 1
             self._starting = True
         process = None
         try:
@@ -173,18 +166,19 @@ class Processes:
             self._started.add(process)
             process.call(self._warm, ())
         except BaseException:
-            self._started -= {process}
             if process is not None:
-                process.end()
+                self._end(process)
             raise
         finally:
-            self._starting = False
+            with self._changed:
+                self._starting = False
+                self._changed.notify()  # another one may start now
         return process
 
-    def _put_back(self, process: "_Process | None", keep: bool) -> None:
-        """Free the process, or the place of one that could not be started or is not to be kept."""
+    def _put_back(self, process: "_Process", keep: bool) -> None:
+        """Free the process, or the place of one that is not to be kept."""
         with self._changed:
-            if process is not None and keep and not self._closed:
+            if keep and not self._closed:
                 self._idle.append((time.monotonic(), process))
                 self._changed.notify()
                 self._look_later()
@@ -209,12 +203,10 @@ class Processes:
         for process in long:
             self._end(process)
 
-    def _end(self, process: "_Process | None") -> None:
-        if process is not None:
-            process.end()
+    def _end(self, process: "_Process") -> None:
+        process.end()
         with self._changed:
             self._started -= {process}
-            self._may_start += 1
             self._changed.notify()
 
 
