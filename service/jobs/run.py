@@ -9,6 +9,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -35,9 +36,6 @@ PAIRS: Final = 100_000
 LEAST_LEFT: Final = 0.125
 #: Chunks in a row up to which a run has the time left from the table of costs until it has a rate.
 FEW: Final = 2
-
-#: Bucket limits for the seconds of chunks.
-BUCKET_SECONDS: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 
 
 def scattered(count: int) -> NDArray[np.int64]:
@@ -390,21 +388,16 @@ class ChunkMetrics:
 
     def __init__(self) -> None:
         meaning = "Seconds of workers for each chunk computed since the start."
+        seconds = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
         self.durations = prometheus.Histogram(
-            "bounce_chunk_duration_seconds", meaning, buckets=BUCKET_SECONDS, registry=None
+            "bounce_chunk_duration_seconds", meaning, buckets=seconds, registry=None
         )
-        self.computed, self.seconds, self.damaged = (
-            prometheus.Counter(name, meaning, registry=None)
-            for name, meaning in (
-                ("bounce_chunks_computed", "Chunks computed since the start."),
-                ("bounce_chunk_seconds", "Seconds of workers for the chunks computed."),
-                ("bounce_chunks_damaged", "Stored chunks found damaged since the start."),
-            )
-        )
+        counter = partial(prometheus.Counter, registry=None)
+        self.computed = counter("bounce_chunks_computed", "Chunks computed since the start.")
+        self.seconds = counter("bounce_chunk_seconds", "Seconds of workers for the chunks computed.")
+        self.damaged = counter("bounce_chunks_damaged", "Stored chunks found damaged since the start.")
         meaning = "Chunks that came back without a result, by action and kind of error."
-        self.returned = prometheus.Counter(
-            "bounce_chunks_returned", meaning, ["action", "error"], registry=None
-        )
+        self.returned = counter("bounce_chunks_returned", meaning, ["action", "error"])
 
     def add_computed(self, seconds: float) -> None:
         """Count a chunk that came back with a report."""
