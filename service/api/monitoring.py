@@ -20,17 +20,12 @@ class Metrics:
     """Metrics of one service, in their own registry."""
 
     def __init__(self) -> None:
-        self.registry = CollectorRegistry()
-        ProcessCollector(registry=self.registry)
-        self._requests = Counter(
-            "bounce_http_requests", "HTTP requests.", ["method", "route", "status"], registry=self.registry
-        )
-        self._seconds = Histogram(
-            "bounce_http_request_seconds",
-            "Seconds until the response was sent.",
-            ["route"],
-            registry=self.registry,
-        )
+        registry = self.registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        labels = ["method", "route", "status"]
+        self._requests = Counter("bounce_http_requests", "HTTP requests.", labels, registry=registry)
+        meaning = "Seconds until the response was sent."
+        self._seconds = Histogram("bounce_http_request_seconds", meaning, ["route"], registry=registry)
 
     def count_request(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request; `route` is the path's template, so that job ids do not become labels."""
