@@ -333,8 +333,7 @@ class _Runner:
         self._is_there = settings.ledger_path.exists  # a chunk may make a folder that was moved anew
         self.seconds, self.is_done, self.took = manager.seconds, manager.is_done, manager.took
         self._progress = progress
-        self._last: Computed | None = None
-        self._before: Computed | None = None  # the level before the last
+        self._levels: list[Computed] = []
         self._took = 0.0  # seconds, of the last level
 
     def done(self, spec: Any, deadline: float = math.inf) -> Computed:
@@ -354,33 +353,30 @@ class _Runner:
         levels = [steps for each in done if (steps := steps_of(spec, each))]
         known = max(levels, key=partial(cells, spec), default=None)
         answer = budgets.within(spec, budget, self, show, began=began, known=known)
-        assert self._last is not None
-        return self._last._replace(audit=answer.audit)
+        return self._levels[-1]._replace(audit=answer.audit)
 
     def compute(self, spec: Any, seconds: float) -> bool:
         now = time.monotonic()
         try:
-            self._before, self._last = self._last, self.done(spec, now + seconds)
+            self._levels.append(self.done(spec, now + seconds))
         except (TimeoutError, ServiceError) as error:
-            if self._last is None and (fault := self._manager.fault()):
+            if not self._levels and (fault := self._manager.fault()):
                 raise RunFailed(fault) from error
-            if self._last is None and not isinstance(error, TimeoutError):
+            if not self._levels and not isinstance(error, TimeoutError):
                 raise
             return False
         self._took = time.monotonic() - now
         return True
 
     def changed(self) -> float | None:
-        assert self._last is not None
-        assert self._before is not None
         with suppress(OSError, stores.StoreError):
-            return changed(*(stored(level.record, level.job) for level in (self._last, self._before)))
+            before, last = (stored(level.record, level.job) for level in self._levels[-2:])
+            return changed(last, before)
         return None
 
     def audit(self, spec: Any, seconds: float) -> str | None:
-        assert self._last is not None
         deadline = time.monotonic() + seconds
-        study = stored(self._last.record, self._last.job)
+        study = stored(self._levels[-1].record, self._levels[-1].job)
         workers = self._executor.state().workers
         # as a machine is that computes other things, too
         slower = max(self._took / (self.seconds(study.spec) + BEGINNING_SECONDS), 1.0)
