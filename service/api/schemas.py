@@ -249,14 +249,13 @@ class PendingView(BaseModel):
 
 def job_view(
     job: JobRecord,
-    now: float | None = None,
     longest_spec: float = math.inf,
     failures: Sequence[Failure] = (),
     notice: str | None = None,
     compiling: Compilation | None = None,
     budget: BudgetView | None = None,
 ) -> JobView:
-    """The view of a job at `now` (seconds since 1970), without a specification longer than `longest_spec`.
+    """The view of a job now, without a specification longer than `longest_spec`.
 
     `notice` replaces the job's own.
     """
@@ -264,13 +263,13 @@ def job_view(
     return JobView(
         **vars(job)
         | {
-            "progress": ProgressView.model_validate(job.progress(time.time() if now is None else now)),
+            "progress": job.progress(time.time()),
             "notice": notice or job.notice,
             "repairing": job.repairing,
             "finished": None if job.repairing else job.finished,
             "core_seconds": round(job.core_seconds, 3),
             "spec": job.named_spec if len(job.spec) <= longest_spec else None,
-            "compiling": None if compiling is None else CompilingView.model_validate(compiling),
+            "compiling": compiling,
             "choice": choice_of(job),
             "budget": budget,
             "failures": [failure._asdict() for failure in failures],
