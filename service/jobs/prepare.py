@@ -36,7 +36,6 @@ MAX_DEATHS: Final = 3
 class PreparedJob:
     """A job's specification and plan, and the address of its results."""
 
-    job_id: str
     submitted: Any  # the specification as submitted: the job's identity, recorded in the store
     spec: Any  # `submitted` with the chosen model in place of `auto`
     plan: Plan
@@ -160,7 +159,6 @@ class JobPreparer:
             rule = "its specification and chunks are not those of its id"
             raise LedgerUnusable(f"the ledger is damaged: job {job.id}: {rule}: {MEND}")
         return PreparedJob(
-            job_id=job.id,
             submitted=submitted,
             spec=spec,
             plan=plan,
