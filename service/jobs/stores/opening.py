@@ -8,7 +8,7 @@ remove results that it does not own.
 import logging
 import re
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import Final
 
@@ -160,16 +160,14 @@ def open_ledger(settings: Settings, adopting: bool = False) -> Ledger:
     Its next jobs get numbers above those of all stores: an older copy of a ledger does not know the newest.
     Raises as `Ledger`, and LedgerUnusable if the stores are another ledger's.
     """
-    ledger = Ledger(settings.ledger_path, partial(has_stores, settings))
-    try:
+    with ExitStack() as opened:
+        ledger = opened.enter_context(Ledger(settings.ledger_path, partial(has_stores, settings)))
         marker = StoresMarker(ledger, settings)
         marker.claim(adopting)
         with suppress(*_UNREADABLE):
             newest = max(map(_number, _stored(settings)), default=0)
             with ledger.writing() as writing:
                 writing.continue_after(newest)
-    except BaseException:
-        ledger.close()
-        raise
+        opened.pop_all()
     ledger.check_stores = marker.check
     return ledger
