@@ -89,8 +89,7 @@ class Ledger(AbstractContextManager["Ledger"]):
             try:
                 yield ReadTransaction(self._reader)
             finally:
-                if self._reader.in_transaction:  # some errors end it
-                    self._reader.execute("ROLLBACK")
+                self._reader.rollback()  # unless an error has ended the transaction
 
     @contextmanager
     def writing(self) -> Iterator[WriteTransaction]:
@@ -138,7 +137,7 @@ class Ledger(AbstractContextManager["Ledger"]):
                     ledger.newest_seq()
         except LedgerUnavailable as error:
             return str(error)
-        return self._stores_fault or self._refused
+        return self._stores_fault or self._damage or self._refused
 
     @contextmanager
     def _exclusive(self) -> Iterator[None]:
@@ -148,10 +147,8 @@ class Ledger(AbstractContextManager["Ledger"]):
         try:
             with self._available():
                 self._check_open()
-                if self._damage is not None:
-                    raise self._damaged()
-                if self._stores_fault is not None:
-                    raise LedgerUnavailable(self._stores_fault)
+                if fault := self._damage or self._stores_fault:
+                    raise LedgerUnavailable(fault)
                 try:
                     yield
                 except BaseException as error:
@@ -166,8 +163,7 @@ class Ledger(AbstractContextManager["Ledger"]):
             raise LedgerUnavailable("the ledger is closed: the service ends")
 
     def _roll_back(self, error: BaseException) -> None:
-        if self._writer.in_transaction:
-            self._writer.execute("ROLLBACK")
+        self._writer.rollback()
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
             # the log fills the disk: once its contents are in the main file, it begins anew
             with suppress(sqlite3.Error):
@@ -212,12 +208,9 @@ class Ledger(AbstractContextManager["Ledger"]):
         except sqlite3.DatabaseError as error:
             if getattr(error, "sqlite_errorcode", 0) & 0xFF not in _DAMAGE:
                 raise
-            self._damage = f"the data folder's {self.path.name} is damaged ({error})"
-            raise self._damaged() from error
-
-    def _damaged(self) -> LedgerUnavailable:
-        self._refused = f"{self._damage}: stop the service; {MEND}"
-        return LedgerUnavailable(self._refused)
+            name = self.path.name
+            self._damage = f"the data folder's {name} is damaged ({error}): stop the service; {MEND}"
+            raise LedgerUnavailable(self._damage) from error
 
 
 #: The remedy for an unusable ledger, for operators.
