@@ -135,9 +135,8 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     It reads all chunks along some dimensions, in every direction of a sweep.
     """
     layout = service.manager.preparer.prepare(job).layout
-    sizes = [(len(layout.coordinates[dim]), layout.chunk_sizes[dim]) for dim in (*along, "direction")
-             if dim in layout.chunk_sizes]  # fmt: skip
-    chunks = prod(-(-length // size) for length, size in sizes)
+    dims = layout.chunk_sizes.keys() & {*along, "direction"}
+    chunks = prod(-(-len(layout.coordinates[dim]) // layout.chunk_sizes[dim]) for dim in dims)
     few = chunks <= FEW_CHUNKS and chunks * layout.chunk_bytes <= SMALL_CHUNKS
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
 

@@ -44,17 +44,13 @@ class JobsCollector(Collector):
             jobs = {str(state): ledger.count((state,)) for state in JobState}
             chunks, cells = ledger.totals()
         supervisor = self._manager.supervisor
-        cluster = supervisor.cluster
+        cluster, in_flight = supervisor.cluster, supervisor.in_flight()
         yield _by_state("bounce_jobs", "Jobs in the ledger.", jobs)
         for name, meaning, value in (
             ("bounce_chunks_done", "Chunks marked done, of jobs in the ledger.", chunks),
             ("bounce_cells_done", "Cells marked done, of jobs in the ledger.", cells),
             ("bounce_ready", "Whether jobs are accepted and computed.", self._manager.fault() is None),
-            (
-                "bounce_chunks_in_flight",
-                "Chunks that workers compute, or that wait for one.",
-                supervisor.in_flight(),
-            ),
+            ("bounce_chunks_in_flight", "Chunks that workers compute, or that wait for one.", in_flight),
             (
                 "bounce_core_seconds_remaining",
                 "Core-seconds that the unfinished jobs will take, by the cost table.",

@@ -128,8 +128,7 @@ class JobPreparer:
 
     def plan(self, spec: Any) -> Plan:
         """The plan of a new study."""
-        plan: Plan = study_of(spec).plan(spec, longest=self._settings.longest_chunk_seconds)
-        return plan
+        return study_of(spec).plan(spec, longest=self._settings.longest_chunk_seconds)
 
     def prepare(self, job: JobRecord) -> PreparedJob:
         """The prepared job, from the cache unless it was accepted again or its model was chosen since.

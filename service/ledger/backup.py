@@ -106,14 +106,13 @@ def _version(connection: sqlite3.Connection) -> int:
 def reading(file: Path) -> Iterator[ReadTransaction]:
     """Read a ledger that a service may be using. Raises LedgerUnusable."""
     with _readable(file), _opened(file) as connection, closing(sqlite3.connect(":memory:")) as copy:
-        if _version(connection) == VERSION:
-            connection.row_factory = sqlite3.Row
-            yield ReadTransaction(connection)
-        else:
+        current = connection
+        if _version(connection) != VERSION:
             connection.backup(copy)
             make_tables(copy)
-            copy.row_factory = sqlite3.Row
-            yield ReadTransaction(copy)
+            current = copy
+        current.row_factory = sqlite3.Row
+        yield ReadTransaction(current)
 
 
 @contextmanager
