@@ -197,7 +197,7 @@ class Dask:
 
     def _others(self, chunk: Hashable) -> tuple[str, ...]:
         """Workers where a failed chunk has not failed yet; empty for all, or if there are none."""
-        if not (failed_on := self._roster.failed_on(chunk)):
+        if not (failed_on := self._roster.failed_on.get(chunk)):
             return ()
         return tuple(sorted(self._present.keys() - failed_on - self._roster.refused.keys()))
 

@@ -18,7 +18,7 @@ class Roster:
         self.refused: dict[str, str] = {}  # workers refused now or when last present, and why
         self._hosts: OrderedDict[Hashable, str] = OrderedDict()
         self.leaving: OrderedDict[Hashable, None] = OrderedDict()  # workers that have reported this
-        self._failed_on: OrderedDict[Hashable, set[str]] = OrderedDict()  # workers, by chunk
+        self.failed_on: OrderedDict[Hashable, set[str]] = OrderedDict()  # workers, by chunk
 
     def note(self, event: dict[str, Any]) -> None:
         """Record an event that a worker's plugin logged."""
@@ -47,11 +47,7 @@ class Roster:
 
     def failed(self, chunk: Hashable, worker: str) -> None:
         """Note that a worker failed a chunk or died of it."""
-        _remember(self._failed_on, chunk, self._failed_on.get(chunk, set()) | {worker})
-
-    def failed_on(self, chunk: Hashable) -> frozenset[str]:
-        """Workers on which a chunk has failed."""
-        return frozenset(self._failed_on.get(chunk, ()))
+        _remember(self.failed_on, chunk, self.failed_on.get(chunk, set()) | {worker})
 
 
 def _remember(entries: OrderedDict[Hashable, Any], key: Hashable, value: Any) -> None:
