@@ -123,8 +123,7 @@ class Ledger(AbstractContextManager["Ledger"]):
             self._stores_fault = str(error)
         with self._exclusive() if self._refused is None else self.writing():
             if self._writer.in_transaction:
-                (version,) = self._writer.execute("PRAGMA user_version").fetchone()
-                self._writer.execute(f"PRAGMA user_version = {version}")  # writes a page
+                self._writer.execute(f"PRAGMA user_version = {VERSION}")  # writes a page
 
     def fault(self) -> str | None:
         """Why the ledger could not be read or written last; None if it could. Waits for no writer.
