@@ -84,7 +84,6 @@ class Ledger(AbstractContextManager["Ledger"]):
     def reading(self) -> Iterator[ReadTransaction]:
         """Read the ledger as it is at the first read; never waits for a writer. Raises LedgerUnavailable."""
         with self._read_lock, self._available():
-            self._check_open()
             self._reader.execute("BEGIN")
             try:
                 yield ReadTransaction(self._reader)
@@ -145,7 +144,6 @@ class Ledger(AbstractContextManager["Ledger"]):
             raise LedgerUnavailable("the ledger does not answer: other transactions take too long")
         try:
             with self._available():
-                self._check_open()
                 if fault := self._damage or self._stores_fault:
                     raise LedgerUnavailable(fault)
                 try:
@@ -155,11 +153,6 @@ class Ledger(AbstractContextManager["Ledger"]):
                     raise
         finally:
             self._write_lock.release()
-
-    def _check_open(self) -> None:
-        """Raise LedgerUnavailable when closed: threads that outlive the service write nothing."""
-        if self._closed:
-            raise LedgerUnavailable("the ledger is closed: the service ends")
 
     def _roll_back(self, error: BaseException) -> None:
         self._writer.rollback()
@@ -200,6 +193,8 @@ class Ledger(AbstractContextManager["Ledger"]):
     @contextmanager
     def _available(self) -> Iterator[None]:
         """Turn SQLite's errors about the file into LedgerUnavailable, and remember damage."""
+        if self._closed:  # threads that outlive the service write nothing
+            raise LedgerUnavailable("the ledger is closed: the service ends")
         try:
             yield
         except sqlite3.OperationalError as error:
