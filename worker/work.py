@@ -39,9 +39,6 @@ FIRST_STEPS: Final = 4096
 MOST_STEPS: Final = 2**40
 LOOK_SECONDS: Final = (0.02, 0.1)
 
-#: Errors of writing a checkpoint that do not fail the chunk.
-_UNWRITABLE: Final[tuple[type[Exception], ...]] = (OSError, store.Unreachable)
-
 #: Names of a checkpoint's arrays; then the prefixes of the line under way and of the record.
 _DONE: Final = "done"
 _SECONDS: Final = "seconds"
@@ -157,7 +154,7 @@ class Work:
         arrays = self._save() | {_LINE + name: array for name, array in under_way.items()}
         try:
             store.write_checkpoint(self._url, self._chunk.index, arrays)
-        except _UNWRITABLE as error:
+        except (OSError, store.Unreachable) as error:
             index = self._chunk.index
             log.warning("chunk %d cannot pause, its checkpoint cannot be written: %s", index, error)
             self._slice_seconds = math.inf
@@ -176,12 +173,10 @@ class Work:
             raise ChunkPaused(f"begins anew, its checkpoint is not of this release: {error}") from error
 
 
-def plate_of(
-    model: Contact, gamma: NDArray[np.float64], omega: NDArray[np.float64], xi: NDArray[np.float64]
-) -> Any:
-    """The kernel's plate for cells of these parameters, (n,) each."""
+def plate_of(model: Contact, *cells: NDArray[np.float64]) -> Any:
+    """The kernel's plate for cells of these gamma, omega and xi, (n,) each."""
     kernel = importlib.import_module(CONTACT_MODELS[model.kind].kernel)
-    return kernel.plate(**model.plate_arguments(gamma, omega, xi))
+    return kernel.plate(**model.plate_arguments(*cells))
 
 
 def plate_at(model: Contact, gamma: float, omega: float, xi: float) -> Any:
