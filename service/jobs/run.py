@@ -123,7 +123,7 @@ class ChunkTimes:
 
     def __init__(self, plan: Plan, by_table: float) -> None:
         """by_table: seconds of a chunk by the table of costs."""
-        self._plan, self._ramp, self._by_table = plan, plan.ramp is not None, by_table
+        self._plan, self._ramp, self.by_table = plan, plan.ramp is not None, by_table
         self._turns = plan.ramp is not None and len(plan.directions) == 2
         self._took = np.full((len(plan) // plan.lines, plan.lines), np.nan)  # s, of reported chunks
         self._began: float | None = None  # time of the first reports; before, kernels compile
@@ -132,7 +132,7 @@ class ChunkTimes:
     @property
     def mean(self) -> float:
         """Mean seconds of the chunks done; by the table of costs without any."""
-        return self._by_table if self._began is None else float(np.nanmean(self._took))
+        return self.by_table if self._began is None else float(np.nanmean(self._took))
 
     def note(self, reports: Sequence[ChunkReport], now: float) -> None:
         """Note the seconds that reported chunks took."""
@@ -164,7 +164,7 @@ class ChunkTimes:
         expected = np.where(np.isnan(took), took[::-1], took) if self._turns else took.copy()
         if self._ramp:
             done = (newest + 1) / len(took)
-            mixed = done * recent + (1.0 - done) * self._by_table
+            mixed = done * recent + (1.0 - done) * self.by_table
             recent = min(max(mixed, recent / BY_TABLE), recent * BY_TABLE)
         expected[np.isnan(expected)] = recent
         last = np.flatnonzero(to_come)
@@ -218,8 +218,7 @@ class JobRun:
         self.queue = ReadyQueue(plan.lines, done)
         self._estimate = prepared.cost.upper_core_seconds / len(plan)  # of a chunk, by the cost table
         self._paused_seconds = self.unsaved_seconds = 0.0  # of paused slices; missing from the ledger
-        by_table = prepared.cost.core_seconds / len(plan)
-        self._times, self._by_table = ChunkTimes(plan, by_table), by_table
+        self._times = ChunkTimes(plan, prepared.cost.core_seconds / len(plan))
         self._began, self._to_come = time.monotonic(), self.queue.remaining  # at the start
         self.delayed = 0.0  # s for which all workers computed jobs that come first
         self._tries: Counter[int] = Counter()
@@ -286,7 +285,7 @@ class JobRun:
             return left + ahead / max(workers, 1)
         in_a_row = -(-self._to_come // at_once)
         taken = now - self._began
-        by_table = max(in_a_row * self._by_table - taken, taken * LEAST_LEFT)
+        by_table = max(in_a_row * self._times.by_table - taken, taken * LEAST_LEFT)
         return by_table if workers and in_a_row <= FEW else None
 
     @property
