@@ -6,10 +6,8 @@ flights.
 """
 
 import json
-from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import prod
 from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
@@ -189,18 +187,6 @@ def between(values: NDArray[np.float64], query: Any, lower: str, upper: str) -> 
     high = int(np.searchsorted(values, last, side="right"))
     nearest = int(np.argmin(np.abs(values - 0.5 * (first + last))))
     return range(low, high) if low < high else range(nearest, nearest + 1)
-
-
-def thinning(lengths: Sequence[int], points_per_cell: int, max_points: int) -> int | None:
-    """The smallest n for which every n-th cell along all axes gives at most `max_points` points.
-
-    None if a single cell has more points.
-    """
-    steps = range(1, max(lengths) + 1)
-    first = bisect_left(
-        steps, True, key=lambda every: points_per_cell * prod(-(-n // every) for n in lengths) <= max_points
-    )
-    return steps[first] if first < len(steps) else None
 
 
 def read_stored(

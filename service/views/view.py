@@ -1,7 +1,8 @@
 """The parts of a result: its query, its cost, its computation as a Dataset, and its picture."""
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from types import UnionType
 from typing import Annotated, Any, Final, Literal
@@ -12,7 +13,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from service.formats import PICTURES
 from service.pictures import CLASS_NAMES, Figure
 from service.views import encode
-from service.views.selection import thinning
 from worker.spec.axes import LARGEST, SMALLEST, within
 from worker.study import Array
 
@@ -96,10 +96,9 @@ class Estimate:
 
     def fitting(self, max_points: int) -> int | None:
         """The smallest `every` with at most `max_points` points; None if there is none."""
-        if not self.thinned:
-            return None
-        others = prod(n for dim, n in self.lengths.items() if dim not in self.thinned)
-        return thinning([self.lengths[dim] for dim in self.thinned], others, max_points)
+        steps = range(1, max((self.lengths[dim] for dim in self.thinned), default=0) + 1)
+        first = bisect_left(steps, True, key=lambda every: replace(self, every=every).points <= max_points)
+        return steps[first] if first < len(steps) else None
 
 
 @dataclass(frozen=True)

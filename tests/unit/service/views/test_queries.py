@@ -20,6 +20,7 @@ from service.views.diagram import DiagramQuery
 from service.views.modes import OTHER_FLIGHTS, Hysteresis, compare
 from service.views.registry import VIEWS, admit
 from service.views.selection import Stored
+from service.views.view import Estimate
 from worker import store, studies
 from worker.store import backend
 from worker.sweep import SweepSpec
@@ -175,7 +176,7 @@ def test_only_the_chunks_that_a_line_touches_are_read(sweep: Stored, reads: list
 def test_a_refusal_names_the_thinning_that_fits(sweep: Stored, max_points: int, every: int | None):
     """Ten values of gamma of eight flights: the least `every` that fits, and one less is refused."""
     point = {"omega": 0.5, "xi": 0.05}
-    assert selection.thinning((10,), 8, max_points) == every
+    assert Estimate({"gamma": 10, "flight": 8}, thinned=("gamma",)).fitting(max_points) == every
     if every is None:
         with pytest.raises(TooLarge, match=r"the limit is \d+: open the store itself, which has no"):
             diagram(sweep, max_points, **point)
