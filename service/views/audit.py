@@ -203,12 +203,13 @@ _Table = Mapping[str, Any]  # FIELDS as arrays (n,)
 
 
 def table_of(parts: Sequence[Mapping[str, Any]]) -> _Table:
-    """The cells of all parts; deviations of -1 are infinite, and those of -2 `unknown`."""
+    """The cells of all parts: `repeating` at rest or periodic, deviations of -1 infinite, of -2 `unknown`."""
     dtypes = {"deviation": np.float64, "undecided": bool}
     columns = {name: [x for part in parts for x in part[name]] for name in audit.FIELDS}
     table = {name: np.array(column, dtypes.get(name)) for name, column in columns.items()}
     deviation = table["deviation"]
     table["unknown"] = deviation == -2.0
+    table["repeating"] = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
     deviation[deviation == -1.0] = np.inf
     deviation[table["unknown"]] = np.nan
     return table
@@ -216,17 +217,16 @@ def table_of(parts: Sequence[Mapping[str, Any]]) -> _Table:
 
 def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
     """Which cells have changed, by question."""
-    resting, repeating = table["true_outcome"] == Outcome.AT_REST, table["true_outcome"] == Outcome.PERIODIC
     outcome = table["outcome"] != table["true_outcome"]
     deviates = table["deviation"] > tolerance
     return {
-        "rest": (table["outcome"] == Outcome.AT_REST) != resting,
+        "rest": (table["outcome"] == Outcome.AT_REST) != (table["true_outcome"] == Outcome.AT_REST),
         "outcome": outcome,
         "mode": outcome
         | (table["bounces"] != table["true_bounces"])
         | (table["periods"] != table["true_periods"]),
-        "flights": deviates & (resting | repeating),
-        "distribution": deviates & ~(resting | repeating),
+        "flights": deviates & table["repeating"],
+        "distribution": deviates & ~table["repeating"],
         "label": table["label"] != table["true_label"],
     }
 
@@ -234,8 +234,7 @@ def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
 def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled: bool) -> dict[str, _Answer]:
     """The answers of a random sample of the cells that are not certified, scaled to all cells."""
     rest = sizes["cells"] - sizes["certified"]
-    weight = rest / sizes["cells"]
-    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
+    weight, repeating = rest / sizes["cells"], table["repeating"]
     unknown = {"flights": table["unknown"] & repeating, "distribution": table["unknown"] & ~repeating}
     answers = {
         name: _answer(changed, table["undecided"] | unknown.get(name, False), rest, weight)
@@ -253,8 +252,7 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
     """The deviations, rad, within which COVERAGES of all cells lie, by a sample of the uncertified ones."""
     rest, sampled = sizes["cells"] - sizes["certified"], len(table["outcome"])
     weight = rest / sizes["cells"]
-    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
-    deviation = np.where(repeating, np.nan_to_num(table["deviation"], posinf=inf), 0.0)
+    deviation = np.where(table["repeating"], np.nan_to_num(table["deviation"], posinf=inf), 0.0)
     own = np.sort(np.where(_may_deviate(table), inf, deviation)).tolist()
     values = [sizes["certified_error"], *np.maximum(own, sizes["certified_error"]), inf]
 
@@ -266,8 +264,7 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
 
 def _may_deviate(table: _Table) -> Any:
     """Which cells may deviate by anything: undecided ones, and repeating ones of unknown deviation."""
-    repeating = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
-    return table["undecided"] | (table["unknown"] & repeating)
+    return table["undecided"] | (table["unknown"] & table["repeating"])
 
 
 def _modes(table: _Table) -> dict[str, list[Any]]:

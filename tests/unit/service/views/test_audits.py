@@ -12,7 +12,7 @@ from scripted import Held
 from served import finished, service
 from studies import spec_of
 
-from kernel.params import Cell, Outcome
+from kernel.params import Cell
 from service.local import computed
 from service.views.audit import _deviations, is_compiled
 from service.views.plan import settings_of
@@ -155,7 +155,7 @@ def test_no_share_of_cells_within_a_deviation_has_those_that_may_deviate_by_anyt
     flights = found.sel(question="flights")
     assert flights.undecided > 10
     assert flights.covered < 1.0 - flights.undecided / flights.sampled
-    sample = {"outcome": np.zeros(59), "true_outcome": np.full(59, Outcome.PERIODIC), "unknown": False}
+    sample = {"outcome": np.zeros(59), "repeating": np.ones(59, bool), "unknown": False}
     sizes = {"cells": 10_000, "certified": 0, "certified_error": 0.0}
     for undecided, of_95 in ((0, 58.0), (1, np.inf)):  # the rule of three: 59 of 59 cells
         first = {"deviation": np.arange(59.0), "undecided": np.arange(59) < undecided}
