@@ -296,10 +296,8 @@ def _of_thresholds(table: _Table, thresholds: int) -> _Answer:
         return _NOT_ASKED
     bouncing = np.isin(table["outcome"], BOUNCING) != np.isin(table["true_outcome"], BOUNCING)
     units = np.unique(table["unit"])
-    changed, undecided = (
-        np.array([bool(np.any(mask[table["unit"] == unit])) for unit in units], bool)
-        for mask in (bouncing & ~table["undecided"], table["undecided"])
-    )
+    masks = (bouncing & ~table["undecided"], table["undecided"])
+    changed, undecided = (np.isin(units, table["unit"][mask]) for mask in masks)
     return _answer(changed, undecided & ~changed, thresholds)
 
 
