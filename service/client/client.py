@@ -349,9 +349,6 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         query = {"format": format}
         return self._transport.post("/v1/trajectories", body(cell), query=query, waits=True).content
 
-    def _path(self, *parts: str) -> str:
-        return "/".join(("/v1", *parts))
-
     def close(self) -> None:
         """Close the connections. Jobs continue."""
         self._transport.close()

@@ -3,7 +3,6 @@
 import heapq
 import re
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from os import PathLike
@@ -40,7 +39,7 @@ REQUEST_DELAY: Final = 0.02
 Kind = Literal["diagram", "modes", "threshold", "orbits", "return", "exponents"]
 
 
-class ResultReader(ABC):
+class ResultReader:
     """Reads results by name, of a job or of a spring alone."""
 
     _transport: Transport
@@ -61,11 +60,12 @@ class ResultReader(ABC):
 
         `timeout` and `progress` in `query` are those of `Transport.get_result`. Raises as `result`.
         """
-        return self._transport.get_result(self._path(name), format, **query)
+        return self._transport.get_result(f"{self._path}/{name}", format, **query)
 
-    @abstractmethod
-    def _path(self, *parts: str) -> str:
-        """The path of a result."""
+    @property
+    def _path(self) -> str:
+        """The path above those of the results: of springs, unless a job has its own."""
+        return "/v1"
 
 
 class Job(ResultReader, ResultMethods, JobStatus):
@@ -96,8 +96,9 @@ class Job(ResultReader, ResultMethods, JobStatus):
     def __hash__(self) -> int:
         return hash((self.id, self._transport.url))
 
-    def _path(self, *parts: str) -> str:
-        return "/".join(("/v1/jobs", self.id, *parts))
+    @property
+    def _path(self) -> str:
+        return f"/v1/jobs/{self.id}"
 
     @property
     def spec(self) -> dict[str, Any]:
@@ -112,7 +113,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
 
     def _refresh(self, **query: str | None) -> "Job":
         headers = {"If-None-Match": self._etag} if self._etag else {}
-        response = self._transport.get(self._path(), query, headers=headers)
+        response = self._transport.get(self._path, query, headers=headers)
         if response.status_code == 304:
             self._retry_after = retry_after(response)
         else:
@@ -144,13 +145,13 @@ class Job(ResultReader, ResultMethods, JobStatus):
         return self._post("resume")
 
     def _post(self, action: str, content: bytes | None = None) -> "Job":
-        response = self._transport.post(self._path(action), content)
+        response = self._transport.post(f"{self._path}/{action}", content)
         self._describe(json_object(response), response)
         return self
 
     def delete(self) -> None:
         """Delete the job and its results. Raises Conflict while it is queued or running."""
-        self._transport.delete(self._path())
+        self._transport.delete(self._path)
 
     def wait(self, progress: "bool | Callable[[Job], None]" = True, timeout: float | None = None) -> "Job":
         """Wait until the job is done, polling at the service's interval (Retry-After).
@@ -203,7 +204,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             endings = " or ".join(f".{ending}" for ending in EXPORTS)
             raise BounceError(f"{target}: the name of an export ends in {endings}")
         query = {"format": format, "layout": None if layout == "cells" else layout}
-        self._transport.download(self._path("export"), query, target)
+        self._transport.download(f"{self._path}/export", query, target)
         return target
 
     def share(self, path: str | PathLike[str], data: "Data | None" = None) -> Path:
@@ -217,7 +218,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         if target.suffix != ".html":
             raise BounceError(f"{path}: the name of a page ends in .html")
         points = "" if data is None else element(data)
-        self._transport.download(self._path("export"), {"format": "html"}, target, points.encode())
+        self._transport.download(f"{self._path}/export", {"format": "html"}, target, points.encode())
         return target
 
     def open(self, chunks: Any = None) -> "xarray.Dataset":
@@ -228,7 +229,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         from service.client.zarr_store import open_store
 
-        return open_store(self._transport, self._path("zarr"), self.id, chunks=chunks)
+        return open_store(self._transport, f"{self._path}/zarr", self.id, chunks=chunks)
 
     @property
     def store_url(self) -> str:
@@ -239,7 +240,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         """
         from service.client.zarr_store import store_url
 
-        return store_url(self._transport, self._path("zarr"), self.id)
+        return store_url(self._transport, f"{self._path}/zarr", self.id)
 
     def plot(
         self,
