@@ -278,12 +278,11 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         """
         if at_once < 1:
             raise BounceError(f"at_once: must be at least 1, not {at_once}")
-        remaining, submitted, begun = iter(specs), deque[Job](), False
+        remaining, submitted, away = iter(specs), deque[Job](), 0.0
         while True:
             for spec in islice(remaining, at_once - len(submitted)):
-                away = MAX_OUTAGE if begun else 0.0
                 submitted.append(outlast(partial(self.submit, spec), away=away, busy=math.inf))
-                begun = True
+                away = MAX_OUTAGE  # once the service has answered
             if not submitted:
                 return
             yield from until_ended([submitted.popleft()], None)

@@ -190,12 +190,11 @@ class Transport:
         method, headers = ("GET", {}) if content is None else ("POST", {"Content-Type": "application/json"})
         send = partial(self._request, method, path, {**query, "format": format}, headers, content)
         deadline = time.monotonic() + timeout
-        show, again, noticed = display_parts(progress), False, None
+        show, away, noticed = display_parts(progress), 0.0, None
         while True:
             left = deadline - time.monotonic()
-            away = min(MAX_OUTAGE, left) if again else 0.0
-            response = outlast(send, away=away, busy=left, shown=progress is not False)
-            again = True
+            response = outlast(send, away=min(away, left), busy=left, shown=progress is not False)
+            away = MAX_OUTAGE
             if response.status_code != HTTPStatus.ACCEPTED:
                 return response.content
             done, total = _parts_computed(response)
