@@ -99,8 +99,6 @@ def parts(study: selection.Stored[Any], query: CellsQuery) -> Sequence[Call]:
     span = 0.5 * float(values[0]), 2.0 * float(values[-1])
     if query.along == "gamma":
         span = RANGE[0], query.gamma_max or GAMMA_MAX
-    elif query.gamma_max is not None:
-        raise InvalidRequest.of("gamma_max", ONLY_ALONG_GAMMA.format(query.along))
     return [(follow_cells, spec, study.url, query.along, lines, span, study.complete, query.doubled)]
 
 
@@ -168,7 +166,7 @@ def estimate(spec: SweepSpec | OrbitsSpec, query: CellsQuery) -> Estimate:
         return Estimate({"branch": len(spec.modes), "point": spec.points, "multiplier": 2, "part": 2})
     _line(spec, query)
     if query.along != "gamma" and query.gamma_max is not None:
-        raise InvalidRequest.of("gamma_max", f"is of branches along gamma, and these are along {query.along}")
+        raise InvalidRequest.of("gamma_max", ONLY_ALONG_GAMMA.format(query.along))
     sizes = {"branch": MAX_BRANCHES * (1 + query.doubled), "point": 2 * POINTS, "multiplier": 2, "part": 2}
     return Estimate(sizes, memory=_MEMORY, small=False)
 
