@@ -307,14 +307,13 @@ def draw_cycles(ax: Axes, branches: xarray.Dataset) -> None:
     legend_beside(ax, ax.get_legend_handles_labels()[0])
 
 
-def classes_of(
-    labels: NDArray[Any], bounces: NDArray[Any], periods: NDArray[Any],
-    multiplier: NDArray[np.float64] | None = None,
-) -> NDArray[np.int64]:  # fmt: skip
+def classes_of(arrays: Mapping[Any, Any], multiplier: NDArray[np.float64] | None = None) -> NDArray[np.int64]:
     """The index into CLASS_NAMES of each cell, from its label or outcome and its mode.
 
-    Where it has a multiplier, from that.
+    Where it has a multiplier, from that. arrays: by name, or a Dataset.
     """
+    names = ("label" if "label" in arrays else "outcome", "bounces", "periods")
+    labels, bounces, periods = (np.asarray(arrays[name]) for name in names)
     cycles = 3 * (periods - 1) + 1 + np.sign(bounces - periods)
     cycles = np.where(periods > len(PALETTE["periods"]), CLASS_NAMES.index("longer"), cycles)
     cells = np.full(labels.shape, CLASS_NAMES.index("missing"))
@@ -398,8 +397,7 @@ def draw_strips(ax: Axes, diagram: xarray.Dataset) -> None:
 
     Classes in the attribute `hide` are left out.
     """
-    labels = diagram["label" if "label" in diagram else "outcome"].values
-    cells = np.atleast_2d(classes_of(labels, diagram.bounces.values, diagram.periods.values))
+    cells = np.atleast_2d(classes_of(diagram))
     hidden = [CLASS_NAMES.index(name) for name in diagram.attrs.get("hide", "").split(",") if name]
     shown = np.ma.masked_where(np.isin(cells, hidden), cells)
     low, high = ax.get_xlim()
@@ -445,9 +443,8 @@ def draw_modes(ax: Axes, modes: xarray.Dataset) -> None:
     from matplotlib.patches import Patch
 
     classes = CLASSES | MARGIN_CLASSES
-    labels = modes["label" if "label" in modes else "outcome"].values
     multiplier = modes.multiplier.values if "multiplier" in modes else None
-    cells = classes_of(labels, modes.bounces.values, modes.periods.values, multiplier)
+    cells = classes_of(modes, multiplier)
     counted = "periods of the plate in a cycle" if multiplier is None else "modulus of the leading multiplier"
     corners = edges(modes.gamma.values), edges(modes.omega.values)
     if "hide" in modes.attrs:

@@ -259,8 +259,7 @@ def hidden_cells(
     arrays: Mapping[str, NDArray[Any]], hide: str, multiplier: NDArray[np.float64] | None = None
 ) -> NDArray[np.bool_]:
     """Which cells belong to the classes in `hide`, separated by commas."""
-    labels = arrays.get(LABEL.name, arrays["outcome"])
-    classes = classes_of(labels, arrays["bounces"], arrays["periods"], multiplier)
+    classes = classes_of(arrays, multiplier)
     return np.isin(classes, [CLASS_NAMES.index(name) for name in hide.split(",")])
 
 
