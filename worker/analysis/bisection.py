@@ -178,17 +178,8 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
         values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
         for i in deciding:
             cell = Cell(float(spec.axis_values("gamma")[i]), *values)
-            outcome[i], _ = _run(_patient(spec, PATIENCE), cell, None, PATIENCE)
+            outcome[i], _ = _run(spec, cell, None, PATIENCE)
             computed[i] = 1
-
-
-def _patient(spec: SweepSpec, patience: int) -> SweepSpec:
-    """The specification of a refinement's cells.
-
-    They may settle for longer, have no exponents, and keep enough flights to show that hops die out.
-    """
-    until = max(spec.settles_until or 0, SETTLES_UNTIL, patience + spec.observe)
-    return spec.model_copy(update={"keep": _FLIGHTS, "exponents": 0, "settle": "auto", "until": until})
 
 
 def _refine_line(
@@ -208,7 +199,7 @@ def _lasts(spec: SweepSpec, found: _Bouncing) -> bool:
     """Whether the cell is on a cycle, or bounces for LASTING plate periods."""
     if found.outcome == Outcome.PERIODIC:
         return True
-    return _run(_patient(spec, LASTING), found.cell, found.start, LASTING)[0] in BOUNCING
+    return _run(spec, found.cell, found.start, LASTING)[0] in BOUNCING
 
 
 def _search(
@@ -216,7 +207,6 @@ def _search(
     down: bool, patience: int,
 ) -> _Bouncing | Status:  # fmt: skip
     """The cell at the threshold, by this patience, or why there is none; otherwise as `_refine_line`."""
-    spec = _patient(spec, patience)
     before, after = edge
     direction, xi, omega = line
     gamma = spec.axis_values("gamma")
@@ -321,6 +311,12 @@ def _ramp_on(
 
 
 def _run(spec: SweepSpec, cell: Cell, start: Start | None, patience: int) -> tuple[int, NDArray[np.float64]]:
+    """The outcome of a refinement's cell, and its end state (6,).
+
+    It may settle for longer, has no exponents, and keeps enough flights to show that hops die out.
+    """
+    until = max(spec.settles_until or 0, SETTLES_UNTIL, patience + spec.observe)
+    patient = spec.model_copy(update={"keep": _FLIGHTS, "exponents": 0, "settle": "auto", "until": until})
     gamma, omega, xi = (np.array([value]) for value in cell)
-    line = run_cells(spec, gamma, omega, xi, start, patience)
+    line = run_cells(patient, gamma, omega, xi, start, patience)
     return int(line.outcome[0]), line.end_state[0]
