@@ -230,7 +230,7 @@ def _compared(
     spec: SweepSpec, url: str, grid: dict[str, _Array], contact: Contact | None, drawn: Sequence[_Drawn]
 ) -> Iterator[tuple[Any, ...]]:
     """The values of FIELDS for drawn cells of one set."""
-    cells = [cell.point or _cell(spec, cell.indices) for cell in drawn]
+    cells = [cell.point or spec.cell_at(*cell.indices[1:]) for cell in drawn]
     starts = [_start(spec, url, cell.indices) for cell in drawn]
     true, undecided = reference(spec, cells, starts, contact)
     stored = _stored(spec, url, grid, drawn)
@@ -324,7 +324,7 @@ def _stepped(
 
     Undecided if the two time steps differ by more than the tolerance.
     """
-    cell, stored = _cell(spec, drawn.indices), _stored(spec, url, grid, [drawn])
+    cell, stored = spec.cell_at(*drawn.indices[1:]), _stored(spec, url, grid, [drawn])
     gamma, omega, xi = np.array([cell]).T
     ended = run_cells(spec, gamma, omega, xi, _start(spec, url, drawn.indices)).end_state[0]
     start = Start(np.ascontiguousarray(ended), cell)
@@ -352,11 +352,6 @@ def _last(line: Line, micro_flight: float, bounces: int) -> _Array:
     flights = line.flight_time[0, : line.flights[0]]
     flights = flights[flights > micro_flight]
     return flights[-bounces:] if bounces else flights
-
-
-def _cell(spec: SweepSpec, index: Sequence[int]) -> Cell:
-    values = {axis: float(spec.axis_values(axis)[i]) for axis, i in zip(AXES, index[1:], strict=True)}
-    return Cell(**values)
 
 
 def _start(spec: SweepSpec, url: str, index: tuple[int, ...]) -> Start | None:

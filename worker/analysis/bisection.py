@@ -175,10 +175,8 @@ def _on_line(spec: SweepSpec, url: str, line: tuple[int, int, int], down: bool, 
         deciding = {int(i) for i in cells if i is not None and not computed[i]}
         if not deciding:
             return bracket
-        values = float(spec.axis_values("omega")[omega]), float(spec.axis_values("xi")[xi])
         for i in deciding:
-            cell = Cell(float(spec.axis_values("gamma")[i]), *values)
-            outcome[i], _ = _run(spec, cell, None, PATIENCE)
+            outcome[i], _ = _run(spec, spec.cell_at(xi, omega, i), None, PATIENCE)
             computed[i] = 1
 
 
@@ -209,9 +207,7 @@ def _search(
     """The cell at the threshold, by this patience, or why there is none; otherwise as `_refine_line`."""
     before, after = edge
     direction, xi, omega = line
-    gamma = spec.axis_values("gamma")
-    values = spec.axis_values("omega")[omega], spec.axis_values("xi")[xi]
-    cell = Cell(float(gamma[before]), *map(float, values))
+    gamma, cell = spec.axis_values("gamma"), spec.cell_at(xi, omega, before)
     beyond = float(gamma[after])
     if spec.ramp_axis is None:
         return _search_upward(spec, cell, gamma[after:], tolerance, patience)

@@ -254,6 +254,11 @@ class SweepSpec(Specification):
                 rule = f"{no_cycle(cell, start.periods)}; every line of the ramp begins on one"
                 raise BrokenRuleError("protocol.start", rule)
 
+    def cell_at(self, xi: int, omega: int, gamma: int) -> Cell:
+        """The cell at these indices on its axes."""
+        indices = {"gamma": gamma, "omega": omega, "xi": xi}
+        return Cell(**{axis: float(self.axis_values(axis)[i]) for axis, i in indices.items()})
+
     def first_cells(self) -> Iterator[Cell]:
         """The first cell of each line of a ramp."""
         axis = self.ramp_axis
