@@ -73,11 +73,9 @@ def plan_lines(
     if chunk_shape is None:
         size = _bytes_of_a_cell(spec)
         if gammas * size > MAX_LINE_BYTES:
-            rule = (
-                f"one line of {gammas:,} cells takes {gammas * size:,} bytes; at most {MAX_LINE_BYTES:,} are "
-            )
-            most = f"allowed: take at most {MAX_LINE_BYTES // size:,} values, or keep fewer flights"
-            raise SpecTooLarge([Problem("gamma", rule + most)])
+            rule = f"one line of {gammas:,} cells takes {gammas * size:,} bytes; at most {MAX_LINE_BYTES:,}"
+            remedy = f"take at most {MAX_LINE_BYTES // size:,} values, or keep fewer flights"
+            raise SpecTooLarge([Problem("gamma", f"{rule} are allowed: {remedy}")])
         seconds = _runs(spec) * cell_seconds(spec.sweep())
         lines = min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size) / gammas
         chunk_shape = (1, max(1, int(lines)), gammas)

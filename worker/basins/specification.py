@@ -134,15 +134,13 @@ class GridSpec(Specification):
             rule = f"must be 'soft', 'stepped', 'rigid' or 'ball' for {study}: no model is chosen for it"
             raise BrokenRuleError("model.kind", rule)
         if isinstance(self.model, Ball) and self.protocol.plane == "contact":
-            raise BrokenRuleError(
-                "protocol.plane", "must be 'drop' where model.kind is 'ball': it has no spring"
-            )
+            rule = "must be 'drop' where model.kind is 'ball': it has no spring"
+            raise BrokenRuleError("protocol.plane", rule)
         self._check_until()
         try:
             self.sweep()
         except SpecError as error:
-            problem = error.problems[0]
-            raise BrokenRuleError(*problem) from error
+            raise BrokenRuleError(*error.problems[0]) from error
         return self
 
     def _check_until(self) -> None:

@@ -102,9 +102,8 @@ def _plain(value: object) -> object:
 def _to_float(value: object) -> object:
     """Reject non-finite numbers, and convert -0.0 to 0.0, which defines the same sweep."""
     value = _plain(value)
-    if isinstance(value, float) and not np.isfinite(value):
-        raise BrokenRuleError("", f"must be finite, not {describe(value)}")
-    if isinstance(value, int) and abs(value) > 2**1023:
+    infinite = isinstance(value, float) and not np.isfinite(value)
+    if infinite or (isinstance(value, int) and abs(value) > 2**1023):
         raise BrokenRuleError("", f"must be finite, not {describe(value)}")
     return value + 0.0 if isinstance(value, float) else value
 

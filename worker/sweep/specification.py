@@ -97,9 +97,8 @@ Periods = Annotated[int, Field(ge=1, le=MAX_PERIODS), WHOLE]
 
 def _auto(value: object) -> object:
     if isinstance(value, str) and value != "auto":
-        raise BrokenRuleError(
-            "", f"must be 'auto' or a whole number of plate periods, not {describe(value)}", "type"
-        )
+        rule = f"must be 'auto' or a whole number of plate periods, not {describe(value)}"
+        raise BrokenRuleError("", rule, "type")
     return value
 
 

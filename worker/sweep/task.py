@@ -114,9 +114,8 @@ def starts_of(
     stored = store.read_chunk(store_url, layer, ("end_state", "outcome"), complete=complete)
     previous = _in_visiting_order(spec, layer, stored | cells_of(spec, layer))
     if np.any(previous["outcome"] == Outcome.MISSING):
-        raise PredecessorMissing(
-            f"chunk {chunk.index} continues chunk {chunk.after} of the ramp, which is not stored"
-        )
+        before = f"chunk {chunk.after} of the ramp, which is not stored"
+        raise PredecessorMissing(f"chunk {chunk.index} continues {before}")
     return {index: _start_at(previous, (*index, 0)) for index in np.ndindex(previous["outcome"].shape[:2])}
 
 
