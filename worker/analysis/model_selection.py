@@ -134,8 +134,7 @@ def _middle(part: int, parts: int, length: int) -> int:
 
 def _candidates(auto: Auto) -> dict[str, Soft | Rigid | Ball]:
     """The models to choose from by kind, cheapest first."""
-    ball, rigid = Ball(kind="ball"), Rigid(kind="rigid", restitution=auto.restitution)
-    models: tuple[Soft | Rigid | Ball, ...] = (ball, rigid, auto.exact)
+    models: tuple[Soft | Rigid | Ball, ...] = (Ball(), Rigid(restitution=auto.restitution), auto.exact)
     ordered = sorted(models, key=lambda model: CONTACT_MODELS[model.kind].cost_us)
     return {model.kind: model for model in ordered}
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from worker.spec import parsing
-from worker.spec.axes import AxisValue, Strict, length_of, values_of
+from worker.spec.axes import Strict, length_of, values_of
 from worker.spec.errors import BrokenRuleError, describe
 
 #: Most combining marks on one letter of a name. No script needs more, and they cover the lines around.
@@ -76,8 +76,7 @@ class Specification(Document):
 
     def axis_values(self, axis: str) -> NDArray[np.float64]:
         """The values of an axis by its name, (n,), strictly increasing."""
-        values: AxisValue = getattr(self, axis)
-        return values_of(values)
+        return values_of(getattr(self, axis))
 
     @property
     def shape(self) -> tuple[int, ...]:

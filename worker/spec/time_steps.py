@@ -43,9 +43,8 @@ def check_steps(model: Stepped, cells: Cells, periods: int) -> None:
     depth = penetration_of(model, cells.gamma, cells.omega)
     min_per_contact = _fewest_stable(model, cells, depth)
     max_per_period = min(MOST_STEPS_PER_PERIOD, MOST_STEPS_PER_CELL // periods)
-    per_period = int(
-        np.max(steps_per_period(model.restitution, depth, model.steps_per_contact, adhesive=model.adhesive))
-    )
+    steps = steps_per_period(model.restitution, depth, model.steps_per_contact, adhesive=model.adhesive)
+    per_period = int(np.max(steps))
     if per_period <= max_per_period:
         return
     over = f" over {periods} periods" if max_per_period < MOST_STEPS_PER_PERIOD else ""
