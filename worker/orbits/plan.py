@@ -21,10 +21,8 @@ def make_plan(
     """
     if chunk_shape is None:
         all_cells = math.prod(spec.shape)
-        fitting = min(
-            TARGET_SECONDS / (_seconds(spec) / all_cells), MAX_CHUNK_BYTES / bytes_of(ARRAYS, sizes(spec))
-        )
-        cells = max(1, int(min(fitting, math.ceil(all_cells / 8))))
+        seconds, size = _seconds(spec) / all_cells, bytes_of(ARRAYS, sizes(spec))
+        cells = max(1, int(min(TARGET_SECONDS / seconds, MAX_CHUNK_BYTES / size, math.ceil(all_cells / 8))))
         row = even(spec.shape[1], cells)
         chunk_shape = (max(1, cells // row), row)
     return Plan(spec.shape, chunk_shape)
