@@ -225,7 +225,7 @@ def motion(spec: TrajectorySpec, state: NDArray[np.float64] | None = None) -> xa
         elongation, velocity = np.array(spec.start.elongation), np.array(spec.start.velocity)
         state = contact_states(spec.model, (spec.gamma, spec.omega, spec.xi), elongation, velocity)
     if state is None and spec.settle:
-        line = run_cells(spec.sweep(), gamma, omega, xi, None)
+        line = run_cells(spec.sweep(), (gamma, omega, xi), None)
         _check_ended("settle", line.outcome[0])
         state = line.end_state[0]
     plate = plate_of(spec.model, gamma, omega, xi)
@@ -343,8 +343,8 @@ def _start(study: selection.Stored[_Spec], query: TrajectoryQuery) -> NDArray[np
         if np.isnan(selection.read_stored(study, ("flight_error",), indices)["flight_error"]):
             return None
         # near a bifurcation its motion takes longer than `settle` to the cycle: end there as the sweep did
-        gamma, omega, xi = (np.array([nearest[axis].value]) for axis in Cell._fields)
-        return np.asarray(run_cells(spec, gamma, omega, xi, None).end_state[0])
+        cells = [np.array([nearest[axis].value]) for axis in Cell._fields]
+        return np.asarray(run_cells(spec, cells, None).end_state[0])
     names = (schema.OUTCOME.name, schema.END_STATE.name)
     arrays = selection.read_stored(study, names, indices)
     if arrays[schema.OUTCOME.name] == Outcome.MISSING:

@@ -325,9 +325,8 @@ def _stepped(
     Undecided if the two time steps differ by more than the tolerance.
     """
     cell, stored = spec.cell_at(*drawn.indices[1:]), _stored(spec, url, grid, [drawn])
-    gamma, omega, xi = np.array([cell]).T
-    ended = run_cells(spec, gamma, omega, xi, _start(spec, url, drawn.indices)).end_state[0]
-    start = Start(np.ascontiguousarray(ended), cell)
+    ended = run_cells(spec, [np.array([value]) for value in cell], _start(spec, url, drawn.indices))
+    start = Start(np.ascontiguousarray(ended.end_state[0]), cell)
     bounces, periods = int(stored.bounces[0]), max(int(stored.periods[0]), 1)
     window = {
         "settle": FOLLOWED,

@@ -313,6 +313,5 @@ def _run(spec: SweepSpec, cell: Cell, start: Start | None, patience: int) -> tup
     """
     until = max(spec.settles_until or 0, SETTLES_UNTIL, patience + spec.observe)
     patient = spec.model_copy(update={"keep": _FLIGHTS, "exponents": 0, "settle": "auto", "until": until})
-    gamma, omega, xi = (np.array([value]) for value in cell)
-    line = run_cells(patient, gamma, omega, xi, start, patience)
+    line = run_cells(patient, [np.array([value]) for value in cell], start, patience)
     return int(line.outcome[0]), line.end_state[0]

@@ -197,8 +197,8 @@ class Settled(NamedTuple):
 
     def cycle(self, spec: SweepSpec, along: str = "gamma") -> Point | None:
         """The cycle near the cell's state on its branch, or None. A cell from rest is computed again."""
-        gamma, omega, xi = (np.full(1, value) for value in self.cell)
-        state = run_cells(spec, gamma, omega, xi, None).end_state[0] if self.state is None else self.state
+        cells = [np.full(1, value) for value in self.cell]
+        state = run_cells(spec, cells, None).end_state[0] if self.state is None else self.state
         cycle = cycle_from(plate_at(spec.model, *self.cell), self.cell, self.periods, state)
         return cycle if cycle is None or along == "gamma" else turned(cycle, along, self.cell.gamma)
 

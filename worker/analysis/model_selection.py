@@ -162,12 +162,11 @@ def timed(spec: SweepSpec, lines: Sequence[Cells], least: float = 0.0) -> tuple[
     """
     from worker.sweep.task import run_cells  # noqa: PLC0415 - numba, where `choose` runs: in a worker
 
-    gamma, omega, xi = (axis[:1] for axis in lines[0])
-    run_cells(spec, gamma, omega, xi, None)  # compiles
+    run_cells(spec, [axis[:1] for axis in lines[0]], None)  # compiles
     shortest, total = math.inf, 0.0
     while not total > least:
         began = time.thread_time()
-        records = [run_cells(spec, line.gamma, line.omega, line.xi, None) for line in lines]
+        records = [run_cells(spec, line, None) for line in lines]
         seconds = time.thread_time() - began
         shortest, total = min(shortest, seconds), total + seconds
     cells = sum(len(line.gamma) for line in lines)

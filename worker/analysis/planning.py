@@ -124,7 +124,7 @@ def _computed(
     new = [cell for cell in dict.fromkeys(cells) if (key, cell) not in cache]
     if new:
         xi, omega, gamma = (spec.axis_values(axis)[[cell[i] for cell in new]] for i, axis in enumerate(AXES))
-        line = run_cells(spec, gamma, omega, xi, None)
+        line = run_cells(spec, (gamma, omega, xi), None)
         rows = zip(*(getattr(line, name).tolist() for name in MODE_ARRAYS), strict=True)
         cache.update({(key, cell): row for cell, row in zip(new, rows, strict=True)})
     columns = zip(*(cache[key, cell] for cell in cells), strict=True)

@@ -54,20 +54,15 @@ def compute(spec: SweepSpec, work: Work, cells: _Arrays, starts: list[Start | No
 
 
 def run_cells(
-    spec: SweepSpec,
-    gamma: NDArray[np.float64],
-    omega: NDArray[np.float64],
-    xi: NDArray[np.float64],
-    start: Start | None,
-    settle: int | None = None,
+    spec: SweepSpec, cells: Sequence[NDArray[np.float64]], start: Start | None, settle: int | None = None
 ) -> Line:
     """Compute a line of cells as a sweep does.
 
-    gamma, omega, xi: (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
+    cells: gamma, omega, xi (n,), in the order of the ramp. start: on a ramp, the state before the first cell;
     None starts from rest. settle: plate periods before the window, if not the sweep's. Raises
     KernelInputError for values that the kernel does not accept.
     """
-    return to_end(line_run(spec, (gamma, omega, xi), [start], settle))
+    return to_end(line_run(spec, cells, [start], settle))
 
 
 def to_end(run: LineRun) -> Line:

@@ -15,5 +15,5 @@ def test_no_cell_compiles_a_kernel_that_was_not_compiled_ahead(fields: dict[str,
     spec = SweepSpec(gamma=2.0, omega=0.5, xi=0.26, model={"kind": "rigid"}, **fields)
     compile_for(spec)
     compiled = list(line._walk.entry.signatures)
-    run_cells(spec, *(spec.axis_values(axis) for axis in ("gamma", "omega", "xi")), None)
+    run_cells(spec, [spec.axis_values(axis) for axis in ("gamma", "omega", "xi")], None)
     assert line._walk.entry.signatures == compiled

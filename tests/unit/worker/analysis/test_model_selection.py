@@ -87,7 +87,7 @@ def test_a_choice_judges_cells_as_the_sweep_will_have_them():
     axes = {"gamma": np.linspace(0.8, 3.0, 10).tolist(), "omega": np.linspace(0.8, 1.3, 6).tolist()}
     spec = sweep(1e-3, **axes, xi=0.01, model={"restitution": 0.01, "penetration": 1e-5})
     (line,) = sample(spec)
-    stored = run_cells(spec.model_copy(update={"model": spec.model.exact}), *line, None)
+    stored = run_cells(spec.model_copy(update={"model": spec.model.exact}), line, None)
     assert choose(spec).table[-1].repeating == np.count_nonzero(np.isin(stored.outcome, (1, 3)))
 
 
