@@ -103,12 +103,10 @@ class _Drawn(NamedTuple):
 
 def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
     """The contact that a sweep approximates, for the question `model`; None if it computes that contact."""
-    if isinstance(submitted.model, Auto):
-        exact = submitted.model.exact
-        return None if spec.model == exact else exact
-    if isinstance(spec.model, Stepped):
-        return Soft(**spec.model.model_dump(include=set(Soft.model_fields) - {"kind"}))
-    return None
+    if not isinstance(submitted.model, Auto | Stepped):
+        return None
+    exact = submitted.model.exact
+    return None if spec.model == exact else exact
 
 
 def steppers(spec: SweepSpec) -> tuple[Stepped, ...]:

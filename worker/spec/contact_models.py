@@ -170,6 +170,11 @@ class _SoftContact(ContactFields):
             raise BrokenRuleError("restitution", rule)
         return self
 
+    @property
+    def exact(self) -> "Soft":
+        """The same contact, solved exactly; the tolerance of `auto` refers to it."""
+        return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
+
 
 class Soft(_SoftContact):
     """Spring-dashpot contact, solved exactly."""
@@ -308,11 +313,6 @@ class Auto(_SoftContact):
     def certifies(self) -> bool:
         """True, as for every model that may be chosen."""
         return True
-
-    @property
-    def exact(self) -> Soft:
-        """The contact that the tolerance refers to."""
-        return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
 
 
 class ContactModel(NamedTuple):
