@@ -300,20 +300,18 @@ class _Search:
             before, groups = len(groups), _linked(samples)
             if len(groups) == before or len(chosen) == len(which):
                 break
-            distance = _distances(flights, samples, groups).min(axis=1)
+            _, distance = _nearest(flights, samples, groups)
             chosen = which[np.argsort(-distance, kind="stable")[:REPRESENTATIVES]]
         if not groups:
             return
-        distance = _distances(flights, samples, groups)
-        nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
+        nearest, distance = _nearest(flights, samples, groups)
         numbers = np.array([self._new(_pooled([samples[i] for i in group], rate)) for group in groups])
         self._owner[which] = numbers[nearest]
         self._join_long_cycles(numbers.tolist())
         if len(unsettled):
             # On a torus beside a locked one flights seem to repeat, or to settle, for longer than a window.
             widest = np.array([distance[nearest == g].max(initial=0.0) for g in range(len(groups))])
-            distance = _distances(self._last_flights(unsettled), samples, groups)
-            nearest, distance = distance.argmin(axis=1), distance.min(axis=1)
+            nearest, distance = _nearest(self._last_flights(unsettled), samples, groups)
             within = distance <= widest[nearest]
             self._owner[unsettled[within]] = numbers[nearest[within]]
 
@@ -477,12 +475,13 @@ def _distance_of_rows(time: _Flights, phase: _Flights, pool_time: _Floats, pool_
     return distance
 
 
-def _distances(
+def _nearest(
     flights: tuple[_Flights, _Flights], samples: Sequence[_Sample], groups: Sequence[Sequence[int]]
-) -> _Floats:
-    """(n, groups) distances of starts' flights, times and phases (n, m), from groups of representatives."""
+) -> tuple[_Ints, _Floats]:
+    """The group nearest to each start, and its distance, (n,) each; flights: times and phases (n, m)."""
     pools = [[np.concatenate([samples[i][field] for i in group]) for field in (0, 1)] for group in groups]
-    return np.stack([_distance_of_rows(*flights, *pool) for pool in pools], axis=1)
+    distances = np.stack([_distance_of_rows(*flights, *pool) for pool in pools])
+    return distances.argmin(axis=0), distances.min(axis=0)
 
 
 def _linked(samples: Sequence[_Sample]) -> list[list[int]]:
