@@ -79,8 +79,8 @@ async function send(path, { method = "GET", body, signal }, timeout) {
     body: body instanceof Blob || typeof body === "string" ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
   }), signal);
-  const refused = token !== null && token === sessionStorage.getItem(TOKEN_KEY); // not replaced meanwhile
-  if (response.status === 401) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused } }));
+  const isReplaced = token !== sessionStorage.getItem(TOKEN_KEY); // meanwhile: the page asks again with the new one
+  if (response.status === 401 && !isReplaced) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null } }));
   return response;
 }
 
