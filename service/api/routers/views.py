@@ -190,7 +190,8 @@ def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]
             raise InvalidRequest.of(error.argument, error.rule) from error
         except StoreMissing as error:  # lost, or deleted meanwhile
             raise StoreDamaged(str(error)) from error
-    service.on_demand.note_delivered(keys)
+    if keys:
+        service.on_demand.note_delivered(keys)
     return results
 
 
