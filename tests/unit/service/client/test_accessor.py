@@ -52,6 +52,7 @@ def test_a_line_of_a_sweep_is_a_diagram(sweep: xarray.Dataset):
 def test_a_notebook_shows_a_plot(sweep: xarray.Dataset, monkeypatch: pytest.MonkeyPatch):
     from matplotlib import pyplot
 
+    pyplot.close("all")  # those that other tests left
     monkeypatch.delitem(sys.modules, "matplotlib.pyplot")
     sweep.bounce.plot(omega=0.6)
     assert not pyplot.get_fignums()
