@@ -37,16 +37,13 @@ def test_numbers_outside_their_range(name, bad):
 
 
 @for_each("name", ARRAYS)
-@for_each(
-    ("bad", "why"),
-    [
-        (ONE.astype(np.float32), "float64 array, got float32"),
-        ([1.0, 1.0, 1.0], "float64 array, got list"),
-        (1.5, "float64 array, got float"),
-        (np.array(1.5), "shape"),
-        (np.ones(4), "shape"),
-    ],
-)
+@for_each(("bad", "why"), [
+    (ONE.astype(np.float32), "float64 array, got float32"),
+    ([1.0, 1.0, 1.0], "float64 array, got list"),
+    (1.5, "float64 array, got float"),
+    (np.array(1.5), "shape"),
+    (np.ones(4), "shape"),
+])  # fmt: skip
 def test_arrays_of_another_kind_or_shape(name, bad, why):
     with pytest.raises(KernelInputError, match=why) as refused:
         call(**{name: bad})

@@ -34,17 +34,14 @@ def test_a_file_names_one_token_on_each_line(tmp_path: Path):
     assert tokens.read_tokens(file, private=True) == {"ana": ANA, "ben@lab.example": f"{BEN}:x"}
 
 
-@for_each(
-    ("text", "rule"),
-    [
-        ("", "holds no token: add a line NAME: TOKEN"),
-        (f"{ANA}\n", "line 1: must be NAME: TOKEN"),
-        (f"a b: {ANA}\n", "line 1: the name must be"),
-        (f"ben: {BEN}\nana: s3cret\n", "line 2: the token of ana must be at least 16 ASCII characters"),
-        (f"ana: {ANA}\nana: {BEN}\n", "line 2: the name ana is given twice"),
-        (f"ana: {ANA}\nben: {ANA}\n", "line 2: the token of ben is that of another name too"),
-    ],
-)
+@for_each(("text", "rule"), [
+    ("", "holds no token: add a line NAME: TOKEN"),
+    (f"{ANA}\n", "line 1: must be NAME: TOKEN"),
+    (f"a b: {ANA}\n", "line 1: the name must be"),
+    (f"ben: {BEN}\nana: s3cret\n", "line 2: the token of ana must be at least 16 ASCII characters"),
+    (f"ana: {ANA}\nana: {BEN}\n", "line 2: the name ana is given twice"),
+    (f"ana: {ANA}\nben: {ANA}\n", "line 2: the token of ben is that of another name too"),
+])  # fmt: skip
 def test_a_line_that_breaks_a_rule_is_named_and_its_token_not_shown(tmp_path: Path, text: str, rule: str):
     file = written(tmp_path, text)
     with pytest.raises(NotStarted) as refused:

@@ -37,14 +37,11 @@ def test_a_copy_of_the_sources_has_the_same_digest_and_a_change_another(tmp_path
     assert kernel_cache.digest_of("kernel") != before
 
 
-@pytest.mark.parametrize(
-    ("variables", "expected"),
-    [
-        ({"NUMBA_CACHE_DIR": "/somewhere"}, Path("/somewhere")),
-        ({"XDG_CACHE_HOME": "/cache"}, Path("/cache/bouncing-spring")),
-        ({"HOME": "/ana"}, Path("/ana/.cache/bouncing-spring")),
-    ],
-)
+@pytest.mark.parametrize(("variables", "expected"), [
+    ({"NUMBA_CACHE_DIR": "/somewhere"}, Path("/somewhere")),
+    ({"XDG_CACHE_HOME": "/cache"}, Path("/cache/bouncing-spring")),
+    ({"HOME": "/ana"}, Path("/ana/.cache/bouncing-spring")),
+])  # fmt: skip
 def test_the_root_comes_from_the_environment(variables, expected, monkeypatch):
     for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)

@@ -26,15 +26,12 @@ def first_flip(plate):
     return flip.point
 
 
-@pytest.mark.parametrize(
-    ("plate", "flip"),
-    [
-        (rigid(0.0), 2.504567661968),
-        (rigid(0.3), 2.518213336734),
-        (soft(), 2.504559485239),
-        (soft(adhesive=False), 2.504551432530),
-    ],
-)
+@pytest.mark.parametrize(("plate", "flip"), [
+    (rigid(0.0), 2.504567661968),
+    (rigid(0.3), 2.518213336734),
+    (soft(), 2.504559485239),
+    (soft(adhesive=False), 2.504551432530),
+])  # fmt: skip
 def test_a_doubled_cycle_doubles_again(plate, flip):
     """From the flip of (1,1) at Omega = 0.5, xi = 0.26, 5,000 simulated periods within 1e-12 of it."""
     start = doubled(first_flip(plate))
@@ -88,19 +85,16 @@ def test_a_landing_that_takes_off_at_once():
     assert min(np.abs(np.array(gammas(events, Kind.FOLD)) - expected["fold"])) < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("plate", "cell", "kind", "gamma"),
-    [
-        (rigid(0.145), Cell(2.091346402, 0.622852615, 0.128021696), Kind.GRAZE_CONTACT, 2.571016),
-        (rigid(0.145), Cell(2.377068234, 0.778395495, 0.074548361), Kind.GRAZE_CONTACT, 2.481845),
-        (rigid(0.825), Cell(4.774318866, 0.638197572, 0.206651525), Kind.GRAZE_FLIGHT, 5.252544),
-        (rigid(0.0), Cell(3.077627136, 0.739284155, 0.203493656), Kind.IMMEDIATE_TAKEOFF, 3.353605),
-        (rigid(0.0), Cell(4.658453925, 1.201557256, 0.124175664), Kind.IMMEDIATE_TAKEOFF, 5.4046),
-        (soft(0.815, 1.2e-6, adhesive=False), Cell(4.290509, 1.25025, 0.256117), Kind.GRAZE_FLIGHT, 4.5273),
-        (soft(0.749, 1.88953569e-3), Cell(3.207142, 1.248445, 0.241986), Kind.GRAZE_FLIGHT, 3.78494),
-        (soft(0.007, 6e-3, adhesive=False), Cell(3.15157, 1.258992, 0.123151), End.BELOW_SURFACE, 1.775045),
-    ],
-)
+@pytest.mark.parametrize(("plate", "cell", "kind", "gamma"), [
+    (rigid(0.145), Cell(2.091346402, 0.622852615, 0.128021696), Kind.GRAZE_CONTACT, 2.571016),
+    (rigid(0.145), Cell(2.377068234, 0.778395495, 0.074548361), Kind.GRAZE_CONTACT, 2.481845),
+    (rigid(0.825), Cell(4.774318866, 0.638197572, 0.206651525), Kind.GRAZE_FLIGHT, 5.252544),
+    (rigid(0.0), Cell(3.077627136, 0.739284155, 0.203493656), Kind.IMMEDIATE_TAKEOFF, 3.353605),
+    (rigid(0.0), Cell(4.658453925, 1.201557256, 0.124175664), Kind.IMMEDIATE_TAKEOFF, 5.4046),
+    (soft(0.815, 1.2e-6, adhesive=False), Cell(4.290509, 1.25025, 0.256117), Kind.GRAZE_FLIGHT, 4.5273),
+    (soft(0.749, 1.88953569e-3), Cell(3.207142, 1.248445, 0.241986), Kind.GRAZE_FLIGHT, 3.78494),
+    (soft(0.007, 6e-3, adhesive=False), Cell(3.15157, 1.258992, 0.123151), End.BELOW_SURFACE, 1.775045),
+])  # fmt: skip
 def test_branches_go_on_where_segments_vanish_or_appear_to_rounding(plate, cell, kind, gamma):
     """Springs whose branches broke off there. Gamma is as first followed; the kernel judges each cycle."""
     _, events = both_ways(attracting(plate, cell), (0.5, 8.0), 400)

@@ -78,16 +78,13 @@ def test_a_window_narrower_than_the_grid_has_both_its_ends():
     assert (branch(*spring, times).violations == 0).tolist() == [False, True, False]
 
 
-@pytest.mark.parametrize(
-    ("omega", "xi", "periods"),
-    [
-        (0.2764, 0.0106, 2),
-        (0.3158, 0.0911, 2),
-        (0.25063082376, 0.06223447937, 1),
-        (0.26, 0.02, 1),
-        (0.9, 0.3, 3),
-    ],
-)
+@pytest.mark.parametrize(("omega", "xi", "periods"), [
+    (0.2764, 0.0106, 2),
+    (0.3158, 0.0911, 2),
+    (0.25063082376, 0.06223447937, 1),
+    (0.26, 0.02, 1),
+    (0.9, 0.3, 3),
+])  # fmt: skip
 def test_conditions_break_at_events_only(omega, xi, periods):
     """Against gap and n on a grid of times by matrix exponentials, orbits that are not admissible too.
 

@@ -87,15 +87,12 @@ def test_a_branch_where_no_cycle_of_the_closed_form_is_stable():
     assert sorted(gammas(line, FOLD)) == pytest.approx([2.740261171766, 3.285075490445], abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("plate", "omega", "along", "span", "turn"),
-    [
-        (rigid(0.3), 0.60, "omega", (0.4, 0.9), 0.649242430964),
-        (soft(), 0.60, "omega", (0.4, 0.9), 0.661091706414),
-        (rigid(0.3), 0.62, "xi", (0.04, 0.2), 0.064071208251),
-        (soft(), 0.62, "xi", (0.04, 0.2), 0.065927841578),
-    ],
-)
+@pytest.mark.parametrize(("plate", "omega", "along", "span", "turn"), [
+    (rigid(0.3), 0.60, "omega", (0.4, 0.9), 0.649242430964),
+    (soft(), 0.60, "omega", (0.4, 0.9), 0.661091706414),
+    (rigid(0.3), 0.62, "xi", (0.04, 0.2), 0.064071208251),
+    (soft(), 0.62, "xi", (0.04, 0.2), 0.065927841578),
+])  # fmt: skip
 def test_turns_along_the_other_parameters(plate, omega, along, span, turn):
     """At Gamma = 0.6; along Gamma the branch there has its fold at 0.6."""
     first = branches_at(plate, Cell(0.6, omega, 0.05), 1, along, span)[0]
@@ -134,15 +131,12 @@ def test_a_branch_that_goes_on_beyond_its_points_says_so():
     assert len(whole.points) > len(followed.points)
 
 
-@pytest.mark.parametrize(
-    ("restitution", "omega", "xi", "flip"),
-    [
-        (0.3, 0.443498, 0.048463, 1.38498624),
-        (0.416337, 0.452189, 0.040721, 1.36002595),
-        (0.069175, 0.409582, 0.168493, 1.53973949),
-        (0.079227, 0.376945, 0.191921, 1.60776476),
-    ],
-)
+@pytest.mark.parametrize(("restitution", "omega", "xi", "flip"), [
+    (0.3, 0.443498, 0.048463, 1.38498624),
+    (0.416337, 0.452189, 0.040721, 1.36002595),
+    (0.069175, 0.409582, 0.168493, 1.53973949),
+    (0.079227, 0.376945, 0.191921, 1.60776476),
+])  # fmt: skip
 def test_a_flip_between_points_with_other_numbers_of_hops(restitution, omega, xi, flip):
     lines = branches(rigid(restitution), omega, xi, 1)
     assert any(abs(gamma - flip) < 1e-8 for line in lines for gamma in gammas(line, FLIP))

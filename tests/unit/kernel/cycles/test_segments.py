@@ -11,16 +11,13 @@ from kernel.cycles.segments import go_round
 STATE = [0.3, -0.9, 0.2, 0.4, 0.5]
 
 
-@pytest.mark.parametrize(
-    ("plate", "letters", "times"),
-    [
-        (rigid(0.0), "SszsS", [1.3, 2.0, 1.5, 0.7, 0.4]),
-        (rigid(0.3), "hhcS", [1.3, 0.6, 0.1, 2.0]),
-        (soft(), "CFCF", [0.3, 0.2, 1.5, 2.5]),
-        (soft(penetration=0.1, adhesive=False), "CbCF", [0.4, 0.3, 0.6, 2.5]),
-        (rigid(0.3), "hhcS", [1e-3, 2e-4, 3e-5, 2.0]),
-    ],
-)
+@pytest.mark.parametrize(("plate", "letters", "times"), [
+    (rigid(0.0), "SszsS", [1.3, 2.0, 1.5, 0.7, 0.4]),
+    (rigid(0.3), "hhcS", [1.3, 0.6, 0.1, 2.0]),
+    (soft(), "CFCF", [0.3, 0.2, 1.5, 2.5]),
+    (soft(penetration=0.1, adhesive=False), "CbCF", [0.4, 0.3, 0.6, 2.5]),
+    (rigid(0.3), "hhcS", [1e-3, 2e-4, 3e-5, 2.0]),
+])  # fmt: skip
 def test_derivatives_are_those_of_the_equations(plate, letters, times):
     code, u = np.frombuffer(letters.encode(), np.uint8), np.array([*STATE, *times])
     slope = go_round(plate, 0.6, 0.05, code, 1, u).slope

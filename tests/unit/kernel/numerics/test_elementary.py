@@ -123,13 +123,10 @@ def test_sincos_of_any_argument_to_two_units_in_the_last_place():
 SPECIAL = (0.0, -0.0, math.inf, -math.inf, math.nan, 5e-324, -5e-324, 1.0, -1.0, 1.7e308, -1.7e308, 0.5, 2.0)
 
 
-@for_each(
-    ("name", "numpys", "arguments"),
-    [
-        ("log", "log", 1), ("log1p", "log1p", 1), ("exp", "exp", 1), ("asinh", "arcsinh", 1),
-        ("hypot", "hypot", 2), ("atan2", "arctan2", 2),
-    ],
-)  # fmt: skip
+@for_each(("name", "numpys", "arguments"), [
+    ("log", "log", 1), ("log1p", "log1p", 1), ("exp", "exp", 1), ("asinh", "arcsinh", 1),
+    ("hypot", "hypot", 2), ("atan2", "arctan2", 2),
+])  # fmt: skip
 def test_special_values(name, numpys, arguments):
     for x in product(SPECIAL, repeat=arguments):
         with np.errstate(all="ignore"):

@@ -215,15 +215,12 @@ READS = [(method, path) for method, path in CALLS if method in ("GET", "HEAD")]
 
 
 @for_each(("method", "path"), READS)
-@for_each(
-    "headers",
-    [
-        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "no-cors"), ("Sec-Fetch-Dest", "image")],
-        [("Sec-Fetch-Site", "same-site"), ("Sec-Fetch-Mode", "cors"), ("Sec-Fetch-Dest", "empty")],
-        [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "iframe")],
-        [("Sec-Fetch-Site", "none"), ("Sec-Fetch-Site", "cross-site")],
-    ],
-)
+@for_each("headers", [
+    [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "no-cors"), ("Sec-Fetch-Dest", "image")],
+    [("Sec-Fetch-Site", "same-site"), ("Sec-Fetch-Mode", "cors"), ("Sec-Fetch-Dest", "empty")],
+    [("Sec-Fetch-Site", "cross-site"), ("Sec-Fetch-Mode", "navigate"), ("Sec-Fetch-Dest", "iframe")],
+    [("Sec-Fetch-Site", "none"), ("Sec-Fetch-Site", "cross-site")],
+])  # fmt: skip
 def test_a_page_of_another_origin_loads_nothing(
     local: TestClient, method: str, path: str, headers: list[tuple[str, str]]
 ):

@@ -45,31 +45,28 @@ def test_the_report_of_a_job_has_a_line_for_everything_that_is_known():
     ]
 
 
-@pytest.mark.parametrize(
-    ("changes", "line"),
-    [
-        ({}, "1,200 cells in 30 chunks, 2.5 MB before compression, about 6 s on 2 workers "
-             "(12.0 core-seconds, from the table of costs; the kernel is compiled first, "
-             "unless the cache has it)"),
-        (
-            {"basis": "measured", "core_seconds": 2_050.0, "bytes": 1_040_000_000,
-             "longest_core_seconds": 345_600.0},
-            "1,200 cells in 30 chunks, 1.0 GB before compression, about 17 min 5 s on 2 workers "
-            "(2,050.0 core-seconds, from a sample of the study; up to 48 h 0 min if every cell were a "
-            "slow one)",
-        ),
-        (
-            {"computed_cells": (300, 1_100), "least_core_seconds": 3.0, "basis": "measured", "chunks": 1},
-            "1,200 cells, of which about 300 to 1,100 are computed, in 1 chunk, at most 2.5 MB before "
-            "compression, about 3 s to 12 s on 2 workers (12.0 core-seconds, from a sample of the study)",
-        ),
-        (
-            {"workers": 0, "core_seconds": 0.5, "basis": "measured"},
-            "1,200 cells in 30 chunks, 2.5 MB before compression, about 1 s on one core "
-            "(0.5 core-seconds, from a sample of the study)",
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("changes", "line"), [
+    ({}, "1,200 cells in 30 chunks, 2.5 MB before compression, about 6 s on 2 workers "
+         "(12.0 core-seconds, from the table of costs; the kernel is compiled first, "
+         "unless the cache has it)"),
+    (
+        {"basis": "measured", "core_seconds": 2_050.0, "bytes": 1_040_000_000,
+         "longest_core_seconds": 345_600.0},
+        "1,200 cells in 30 chunks, 1.0 GB before compression, about 17 min 5 s on 2 workers "
+        "(2,050.0 core-seconds, from a sample of the study; up to 48 h 0 min if every cell were a "
+        "slow one)",
+    ),
+    (
+        {"computed_cells": (300, 1_100), "least_core_seconds": 3.0, "basis": "measured", "chunks": 1},
+        "1,200 cells, of which about 300 to 1,100 are computed, in 1 chunk, at most 2.5 MB before "
+        "compression, about 3 s to 12 s on 2 workers (12.0 core-seconds, from a sample of the study)",
+    ),
+    (
+        {"workers": 0, "core_seconds": 0.5, "basis": "measured"},
+        "1,200 cells in 30 chunks, 2.5 MB before compression, about 1 s on one core "
+        "(0.5 core-seconds, from a sample of the study)",
+    ),
+])  # fmt: skip
 def test_an_estimate_is_one_line(changes: dict[str, Any], line: str):
     fields: dict[str, Any] = {
         "cells": 1_200, "chunks": 30, "bytes": 2_500_000, "core_seconds": 12.0, "basis": "table",

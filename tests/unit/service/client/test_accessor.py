@@ -81,15 +81,12 @@ def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset)
         line.bounce.plot(ax=Figure().subplots(), branches=branches.assign_coords(omega=0.7))
 
 
-@for_each(
-    ("where", "message"),
-    [
-        ({}, r"select of direction \(2 values\), omega \(2 values\), gamma \(9 values\)"),
-        ({"direction": "sideways"}, "direction must be one of up, down, not 'sideways'"),
-        ({"speed": 1.0}, "speed is no axis"),
-        ({"omega": 0.6, "direction": "up", "xi": 0.05, "gamma": 1.0}, "select of $"),
-    ],
-)
+@for_each(("where", "message"), [
+    ({}, r"select of direction \(2 values\), omega \(2 values\), gamma \(9 values\)"),
+    ({"direction": "sideways"}, "direction must be one of up, down, not 'sideways'"),
+    ({"speed": 1.0}, "speed is no axis"),
+    ({"omega": 0.6, "direction": "up", "xi": 0.05, "gamma": 1.0}, "select of $"),
+])  # fmt: skip
 def test_what_to_select_is_said(sweep: xarray.Dataset, where: dict[str, Any], message: str):
     with pytest.raises(BounceError, match=message):
         sweep.bounce.plot(**where)

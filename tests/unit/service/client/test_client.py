@@ -71,15 +71,12 @@ def test_the_same_sweep_is_the_same_job_in_every_form(client: Client, job: Job, 
         assert client.submit(form).id == job.id
 
 
-@for_each(
-    ("change", "field", "rule"),
-    [
-        ({"omega": -1.0}, "omega", "at least"),
-        ({"gama": 1.0}, "gama", "not a field"),
-        ({"xi": float("nan")}, "xi", "finite"),
-        ({"omega": {0.5, 0.7}}, "omega", "not set"),
-    ],
-)
+@for_each(("change", "field", "rule"), [
+    ({"omega": -1.0}, "omega", "at least"),
+    ({"gama": 1.0}, "gama", "not a field"),
+    ({"xi": float("nan")}, "xi", "finite"),
+    ({"omega": {0.5, 0.7}}, "omega", "not set"),
+])  # fmt: skip
 def test_a_bad_specification_names_field_and_rule(client: Client, change: dict, field: str, rule: str):
     with pytest.raises(InvalidSpecification, match=rule) as caught:
         client.submit(SPEC | change)

@@ -221,15 +221,12 @@ def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end(monkeypatch
 NESTED = b'{"id": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 
 
-@for_each(
-    "answer",
-    [
-        Answer(200, NESTED),
-        Answer(200, b"<html>hello</html>"),
-        Answer(200, {"id": ID}),
-        Answer(302, b"", Location="http://127.0.0.1:1/"),
-    ],
-)
+@for_each("answer", [
+    Answer(200, NESTED),
+    Answer(200, b"<html>hello</html>"),
+    Answer(200, {"id": ID}),
+    Answer(302, b"", Location="http://127.0.0.1:1/"),
+])  # fmt: skip
 def test_another_program_at_the_address_is_recognised(answer: Answer):
     with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer):
         client.job(ID)
@@ -333,19 +330,13 @@ def group(**arrays: dict[str, Any]) -> dict[str, Any]:
     return {"zarr_format": 3, "node_type": "group", "attributes": {}, "consolidated_metadata": kept}
 
 
-@for_each(
-    ("document", "why"),
-    [
-        (
-            group(gamma=array("bytes"), evil=array("bytes", "numcodecs.pickle")),
-            "codecs that no bounce .*pickle",
-        ),
-        (group(evil=array("bytes", zarr_format=2)), "not the metadata of a bounce store"),
-        (group(gamma=array("bytes", shape=[10**10])), "a coordinate of 10,000,000,000 values"),
-        (group(**{f"a{i}": array("bytes") for i in range(5_000)}), "describes more than 1,000 arrays"),
-        (b"{", "not the metadata of a bounce store"),
-    ],
-)
+@for_each(("document", "why"), [
+    (group(gamma=array("bytes"), evil=array("bytes", "numcodecs.pickle")), "codecs that no bounce .*pickle"),
+    (group(evil=array("bytes", zarr_format=2)), "not the metadata of a bounce store"),
+    (group(gamma=array("bytes", shape=[10**10])), "a coordinate of 10,000,000,000 values"),
+    (group(**{f"a{i}": array("bytes") for i in range(5_000)}), "describes more than 1,000 arrays"),
+    (b"{", "not the metadata of a bounce store"),
+])  # fmt: skip
 def test_a_store_that_the_service_cannot_have_written_is_refused(document: Any, why: str):
     with scripted(Answer(body=view()), Answer(body=document)) as (server, client):
         with pytest.raises(UnexpectedAnswer, match=why):
@@ -392,15 +383,12 @@ def test_a_hostile_store_runs_no_code(tmp_path: Path, version: int):
     assert [path for path in asked if path.endswith(("evil/0", "evil/c/0"))] == []
 
 
-@for_each(
-    "url",
-    [
-        *("http://me:s3cret@host:bad", "http://me:s3cret@[::1", "me:s3cret@host", "//me:s3cret@host"),
-        *("ftp://me:s3cret@host", "http:me:s3cret@host", "http:\\\\me:s3cret@host", "http://me:s3cret@h\n"),
-        *("http://me:s3/cret@host", "http://me:s3?cret@host", "http://me:s3#cret@host", "http://me:s3@cret@"),
-        "http://me:s3cret@127.0.0.1:1",
-    ],
-)
+@for_each("url", [
+    *("http://me:s3cret@host:bad", "http://me:s3cret@[::1", "me:s3cret@host", "//me:s3cret@host"),
+    *("ftp://me:s3cret@host", "http:me:s3cret@host", "http:\\\\me:s3cret@host", "http://me:s3cret@h\n"),
+    *("http://me:s3/cret@host", "http://me:s3?cret@host", "http://me:s3#cret@host", "http://me:s3@cret@"),
+    "http://me:s3cret@127.0.0.1:1",
+])  # fmt: skip
 def test_no_error_shows_a_password_of_the_address(url: str):
     def ask() -> None:
         with Client(url, timeout=5) as client:

@@ -21,16 +21,13 @@ def test_an_unknown_figure_names_those_there_are(which: str):
         catalogue.figures(which)
 
 
-@for_each(
-    ("values", "indices"),
-    [
-        ([3, 1, 2, 0, 3], [1, 3]),
-        ([3, 1, 1.01, 0, 3], [3]),  # too shallow on one side
-        ([1, 2, 3], []),
-        ([3, 1, 1, 2], [2]),
-        ([3, 1, 2, np.nan], [1]),  # the grid does not hold the last threshold
-    ],
-)
+@for_each(("values", "indices"), [
+    ([3, 1, 2, 0, 3], [1, 3]),
+    ([3, 1, 1.01, 0, 3], [3]),  # too shallow on one side
+    ([1, 2, 3], []),
+    ([3, 1, 1, 2], [2]),
+    ([3, 1, 2, np.nan], [1]),  # the grid does not hold the last threshold
+])  # fmt: skip
 def test_minima_have_a_minimal_depth(values: Sequence[float], indices: list[int]):
     assert minima(np.array(values, float), 0.5) == indices
 

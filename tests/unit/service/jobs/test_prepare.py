@@ -32,15 +32,12 @@ def test_a_job_is_parsed_once_while_it_is_one_of_those_used_last(
         assert parse.call_count == parsed
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"spec": json.dumps(small(xi=0.3).as_submitted())}, "not those of its id: restore a backup"),
-        ({"chunks_total": 7}, "not those of its id"),
-        ({"spec": "null"}, "this release cannot read"),
-        ({"choice": "{}"}, "its choice is invalid"),
-    ],
-)
+@pytest.mark.parametrize(("change", "reason"), [
+    ({"spec": json.dumps(small(xi=0.3).as_submitted())}, "not those of its id: restore a backup"),
+    ({"chunks_total": 7}, "not those of its id"),
+    ({"spec": "null"}, "this release cannot read"),
+    ({"choice": "{}"}, "its choice is invalid"),
+])  # fmt: skip
 def test_a_row_that_is_not_that_of_its_id_is_never_computed_nor_read(
     preparer: JobPreparer, change: dict[str, Any], reason: str
 ):

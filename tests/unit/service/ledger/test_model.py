@@ -62,14 +62,11 @@ def test_an_adaptive_map_needs_at_least_the_first_rounds_of_the_chunks_to_come(f
     assert (progress["cells_computed"], progress["cells_needed"]) == (40, needed)
 
 
-@for_each(
-    "change",
-    [
-        {"id": "b" * 32}, {"state": JobState.DONE}, {"error": "because"}, {"choice": "{}"},
-        {"chunks_done": 5}, {"started": 51.0}, {"finished": 60.0}, {"owner": "ann"}, {"pinned": True},
-        {"kernel_version": "0"},
-    ],
-)  # fmt: skip
+@for_each("change", [
+    {"id": "b" * 32}, {"state": JobState.DONE}, {"error": "because"}, {"choice": "{}"},
+    {"chunks_done": 5}, {"started": 51.0}, {"finished": 60.0}, {"owner": "ann"}, {"pinned": True},
+    {"kernel_version": "0"},
+])  # fmt: skip
 def test_what_a_job_shows_has_another_revision_when_it_changes(change: dict[str, Any]):
     assert record(**change).revision(104.0) != record().revision(104.0)
 
@@ -83,16 +80,13 @@ def failures(*tries: int) -> list[Failure]:
     return [Failure(number, f"chunk {number}", "no", None, count) for number, count in enumerate(tries)]
 
 
-@for_each(
-    ("given", "summary"),
-    [
-        (failures(), None),
-        (failures(1), "chunk 0: no"),
-        (failures(2), "chunk 0: no (2 times)"),
-        (failures(1, 5), "chunk 0: no (and 1 more chunk failed)"),
-        (failures(3, 1, 1), "chunk 0: no (3 times) (and 2 more chunks failed)"),
-    ],
-)
+@for_each(("given", "summary"), [
+    (failures(), None),
+    (failures(1), "chunk 0: no"),
+    (failures(2), "chunk 0: no (2 times)"),
+    (failures(1, 5), "chunk 0: no (and 1 more chunk failed)"),
+    (failures(3, 1, 1), "chunk 0: no (3 times) (and 2 more chunks failed)"),
+])  # fmt: skip
 def test_failures_are_told_by_the_first_and_the_number_of_others(given: list[Failure], summary: str | None):
     assert summary_of(given) == summary
 

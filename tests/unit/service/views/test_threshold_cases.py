@@ -137,13 +137,10 @@ def test_the_answer_says_why_a_threshold_is_not_the_predicted_one(
     assert found["difference"]["data"][0][: len(why) or None] == why
 
 
-@pytest.mark.parametrize(
-    ("model", "text"),
-    [
-        ({"kind": "rigid", "restitution": 0.1}, "rigid, restitution 0.1"),
-        ({"kind": "soft", "rest_length": 9.0}, "soft, restitution 0.01, rest length 9, adhesive"),
-    ],
-)
+@pytest.mark.parametrize(("model", "text"), [
+    ({"kind": "rigid", "restitution": 0.1}, "rigid, restitution 0.1"),
+    ({"kind": "soft", "rest_length": 9.0}, "soft, restitution 0.01, rest length 9, adhesive"),
+])  # fmt: skip
 def test_a_prediction_for_another_contact_names_both(model: dict[str, Any], text: str, client: TestClient):
     here = finished(client, spec_of(CASES[0]).as_submitted() | {"model": model})
     said = get(client, f"{here}/threshold")["attrs"]["prediction"]

@@ -151,15 +151,12 @@ def test_hops_that_outlive_the_window_are_no_threshold(tmp_path: Path):
     np.testing.assert_allclose(thresholds(spec, url, 1e-5).up, onset, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("gamma", "protocol", "up", "down"),
-    [
-        ([2.0, 3.0], ramp("both"), Status.BELOW, Status.BELOW),
-        ([0.1, 0.2], ramp("both"), Status.ABOVE, Status.NEVER),
-        ([2.0, 3.0], ramp("down"), Status.NOT_RAMPED, Status.BELOW),
-        ([2.0], {"kind": "rest"}, Status.BELOW, Status.NOT_RAMPED),
-    ],
-)
+@pytest.mark.parametrize(("gamma", "protocol", "up", "down"), [
+    ([2.0, 3.0], ramp("both"), Status.BELOW, Status.BELOW),
+    ([0.1, 0.2], ramp("both"), Status.ABOVE, Status.NEVER),
+    ([2.0, 3.0], ramp("down"), Status.NOT_RAMPED, Status.BELOW),
+    ([2.0], {"kind": "rest"}, Status.BELOW, Status.NOT_RAMPED),
+])  # fmt: skip
 def test_a_change_that_the_sweep_does_not_hold_is_not_made_up(
     tmp_path: Path, gamma: list[float], protocol: dict[str, str], up: Status, down: Status
 ):

@@ -87,15 +87,12 @@ def test_a_group_whose_representatives_end_apart_goes_on_until_it_is_two():
     assert [a.flights.tolist() for a in found.attractors] == [[1.0, 2.0], [4.0]]
 
 
-@pytest.mark.parametrize(
-    ("flights", "count"),
-    [
-        ((1.0 + 0.9e-4, 2.0 + 0.9e-4), 1),
-        ((1.0 + 1.2e-4, 2.0 + 1.2e-4), 2),
-        ((1.0, 2.0 + 1.2e-4), 2),
-        ((1.0 - 1.2e-4, 2.0), 2),
-    ],
-)
+@pytest.mark.parametrize(("flights", "count"), [
+    ((1.0 + 0.9e-4, 2.0 + 0.9e-4), 1),
+    ((1.0 + 1.2e-4, 2.0 + 1.2e-4), 2),
+    ((1.0, 2.0 + 1.2e-4), 2),
+    ((1.0 - 1.2e-4, 2.0), 2),
+])  # fmt: skip
 def test_cycles_of_one_mode_are_one_if_their_flights_are(flights: tuple[float, ...], count: int):
     found = searched([0, 1], cycle(1.0, 2.0), cycle(*flights))
     assert len(found.attractors) == count

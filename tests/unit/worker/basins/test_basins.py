@@ -243,22 +243,19 @@ def test_other_contacts_have_basins(tmp_path: Path, kind: str):
     assert float(stored.fraction[:n].sum()) + float(stored.undecided) == pytest.approx(1.0)
 
 
-@for_each(
-    ("changes", "rule"),
-    [
-        ({"rows": 0}, "protocol.rows: must be at least 1, not 0"),
-        ({"rows": 1024, "columns": 512}, "protocol.rows: must be at most 512 with 512 columns"),
-        ({"plane": "contact", "model": {"kind": "ball"}}, "protocol.plane: must be 'drop' where"),
-        ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
-        ({"exponents": 4}, "exponents: must be at most 3"),
-        ({"settle_until": 10}, "settle_until: must be at least settle + 2 × observe, "),
-        (SEVERAL | {"rows": 64, "columns": 32}, "protocol.rows: must be at most 32 with 32 columns"),
-        (SEVERAL | {"rows": 1, "columns": 1025}, "protocol.columns: must be at most 1,024, not 1025"),
-        (SEVERAL | {"plane": "contact"}, "protocol.plane: must be 'drop'"),
-        (SEVERAL | {"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
-        (SEVERAL | {"exponents": 1}, "exponents: is not a field here"),
-    ],
-)
+@for_each(("changes", "rule"), [
+    ({"rows": 0}, "protocol.rows: must be at least 1, not 0"),
+    ({"rows": 1024, "columns": 512}, "protocol.rows: must be at most 512 with 512 columns"),
+    ({"plane": "contact", "model": {"kind": "ball"}}, "protocol.plane: must be 'drop' where"),
+    ({"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
+    ({"exponents": 4}, "exponents: must be at most 3"),
+    ({"settle_until": 10}, "settle_until: must be at least settle + 2 × observe, "),
+    (SEVERAL | {"rows": 64, "columns": 32}, "protocol.rows: must be at most 32 with 32 columns"),
+    (SEVERAL | {"rows": 1, "columns": 1025}, "protocol.columns: must be at most 1,024, not 1025"),
+    (SEVERAL | {"plane": "contact"}, "protocol.plane: must be 'drop'"),
+    (SEVERAL | {"model": {"kind": "auto"}}, "model.kind: must be 'soft'"),
+    (SEVERAL | {"exponents": 1}, "exponents: is not a field here"),
+])  # fmt: skip
 def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     with pytest.raises(SpecError) as caught:
         basin(**changes)

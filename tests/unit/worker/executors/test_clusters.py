@@ -107,15 +107,12 @@ def test_the_reason_of_a_function_that_fails_is_one_line():
     )
 
 
-@pytest.mark.parametrize(
-    ("planned", "present", "is_busy", "lost"),
-    [
-        ((0, 1), (0,), False, "1 of 2"),
-        ((0, 1), (), True, None),
-        ((), (0,), False, None),
-        ((1,), (0,), False, "1 of 1"),
-    ],
-)
+@pytest.mark.parametrize(("planned", "present", "is_busy", "lost"), [
+    ((0, 1), (0,), False, "1 of 2"),
+    ((0, 1), (), True, None),
+    ((), (0,), False, None),
+    ((1,), (0,), False, "1 of 1"),
+])  # fmt: skip
 def test_only_workers_that_are_gone_are_called_lost(
     planned: tuple[int, ...],
     present: tuple[int, ...],

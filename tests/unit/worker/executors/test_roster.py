@@ -54,18 +54,15 @@ def test_a_refused_worker_is_listed_until_it_is_admitted_or_gone(caplog: pytest.
     assert roster.refused == {}
 
 
-@for_each(
-    ("state", "fault", "explanation"),
-    [
-        (ClusterState(True, 1), None, None),
-        (ClusterState(True, 1, reason="was slow", refused=("worker a",)), None, None),
-        (
-            ClusterState(True, 0, planned=0, refused=("worker a", "worker b")),
-            "no workers yet (0 asked for); jobs wait until there are; workers refused: 2",
-            "no workers yet (0 asked for); jobs wait until there are; workers refused: 2; worker a; worker b",
-        ),
-    ],
-)
+@for_each(("state", "fault", "explanation"), [
+    (ClusterState(True, 1), None, None),
+    (ClusterState(True, 1, reason="was slow", refused=("worker a",)), None, None),
+    (
+        ClusterState(True, 0, planned=0, refused=("worker a", "worker b")),
+        "no workers yet (0 asked for); jobs wait until there are; workers refused: 2",
+        "no workers yet (0 asked for); jobs wait until there are; workers refused: 2; worker a; worker b",
+    ),
+])  # fmt: skip
 def test_why_no_chunk_is_computed(state: ClusterState, fault: str | None, explanation: str | None):
     assert (state.fault, state.explanation) == (fault, explanation)
 

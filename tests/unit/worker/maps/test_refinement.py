@@ -102,19 +102,16 @@ def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
     assert files(url) == files(tmp_path / "whole.zarr")
 
 
-@for_each(
-    ("refine", "field", "rule"),
-    [
-        ({}, "refine.by", "is required"),
-        ({"by": "flights"}, "refine.by", "'mode' or 'bouncing'"),
-        ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
-        ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
-        ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
-        ({"by": "mode", "margin": True}, "refine.margin", "a coarsest of 8"),
-        ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
-        ("mode", "refine", "group of fields"),
-    ],
-)
+@for_each(("refine", "field", "rule"), [
+    ({}, "refine.by", "is required"),
+    ({"by": "flights"}, "refine.by", "'mode' or 'bouncing'"),
+    ({"by": "mode", "coarsest": MAX_COARSEST + 1}, "refine.coarsest", f"at most {MAX_COARSEST}"),
+    ({"by": "mode", "coarsest": 8.5}, "refine.coarsest", "8 or 9"),
+    ({"by": "mode", "margin": 1}, "refine.margin", "true or false"),
+    ({"by": "mode", "margin": True}, "refine.margin", "a coarsest of 8"),
+    ({"by": "mode", "coarse": 8}, "refine.coarse", "did you mean 'coarsest'"),
+    ("mode", "refine", "group of fields"),
+])  # fmt: skip
 def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
     with pytest.raises(SpecInvalid) as caught:
         sweep(refine=refine)
@@ -125,13 +122,10 @@ def test_bad_refinements_name_the_field_and_the_rule(refine, field, rule):
         sweep(refine={"by": "mode"}, protocol={"kind": "ramp", "axis": "gamma", "direction": "up"})
 
 
-@for_each(
-    ("keep", "coarsest", "side"),
-    [
-        (1, 2, 129), (1, 3, 127), (1, 16, 129), (200, 2, 79), (200, 16, 65), (200, 128, 80), (1000, 3, 34),
-        (1000, 64, 36),
-    ],
-)  # fmt: skip
+@for_each(("keep", "coarsest", "side"), [
+    (1, 2, 129), (1, 3, 127), (1, 16, 129), (200, 2, 79), (200, 16, 65), (200, 128, 80), (1000, 3, 34),
+    (1000, 64, 36),
+])  # fmt: skip
 def test_the_tiles_of_an_adaptive_map(keep, coarsest, side):
     """What is computed of a map depends on them: a map in other tiles is another one."""
     axes = {axis: {"start": 1.0, "stop": 2.0, "num": 300} for axis in ("omega", "gamma")}

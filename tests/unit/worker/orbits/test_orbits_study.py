@@ -69,18 +69,15 @@ def test_chunks_do_not_change_what_is_stored(stored: xarray.Dataset, tmp_path: P
             assert again[name].values.tobytes() == stored[name].values.tobytes(), name
 
 
-@for_each(
-    ("changes", "rule"),
-    [
-        ({"modes": ["2-2"]}, "modes[0]: must have one bounce"),
-        ({"modes": ["1-1", "1-1"]}, "modes: must not name a mode twice"),
-        ({"modes": []}, "modes: must be 1 to 6 modes, not 0"),
-        ({"points": 5}, "points: must be at least 10, not 5"),
-        ({"omega": 0.01}, "omega: must be at least"),
-        ({"gamma_max": 0}, "gamma_max: must be above 0"),
-        ({"modes": ["1-13"]}, "modes[0]: must have at most 12 periods, not 13"),
-    ],
-)
+@for_each(("changes", "rule"), [
+    ({"modes": ["2-2"]}, "modes[0]: must have one bounce"),
+    ({"modes": ["1-1", "1-1"]}, "modes: must not name a mode twice"),
+    ({"modes": []}, "modes: must be 1 to 6 modes, not 0"),
+    ({"points": 5}, "points: must be at least 10, not 5"),
+    ({"omega": 0.01}, "omega: must be at least"),
+    ({"gamma_max": 0}, "gamma_max: must be above 0"),
+    ({"modes": ["1-13"]}, "modes[0]: must have at most 12 periods, not 13"),
+])  # fmt: skip
 def test_broken_rules_are_named(changes: dict[str, Any], rule: str):
     with pytest.raises(SpecError) as caught:
         studies.parse(SPEC | changes)

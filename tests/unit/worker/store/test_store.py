@@ -240,14 +240,11 @@ def sharded(tmp_path, spec, monkeypatch) -> tuple[str, Plan]:
     return url, plan
 
 
-@for_each(
-    ("where", "decoded", "ranges"),
-    [
-        ({"xi": 0, "omega": 0, "gamma": 0}, 1, 2),  # the index, then the part
-        ({"xi": 1, "omega": 1, "gamma": slice(0, 8)}, 2, 2),
-        ({"xi": 1, "gamma": slice(0, 8), "omega": slice(0, 2)}, 4, 0),  # half: the whole file
-    ],
-)
+@for_each(("where", "decoded", "ranges"), [
+    ({"xi": 0, "omega": 0, "gamma": 0}, 1, 2),  # the index, then the part
+    ({"xi": 1, "omega": 1, "gamma": slice(0, 8)}, 2, 2),
+    ({"xi": 1, "gamma": slice(0, 8), "omega": slice(0, 2)}, 4, 0),  # half: the whole file
+])  # fmt: skip
 def test_of_a_shard_only_the_parts_that_are_needed_are_read(sharded, monkeypatch, where, decoded, ranges):
     url, _ = sharded
     calls = []

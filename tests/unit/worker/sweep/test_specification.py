@@ -210,20 +210,17 @@ def test_any_accepted_range_increases(one, two, num, spacing):
     assert np.all(np.diff(values) > 0)
 
 
-@for_each(
-    ("changes", "expected"),
-    [
-        ({"protocol": ramp(start={"bounces": 2})}, "protocol.start.bounces: must be 1, not 2: "),
-        ({"protocol": ramp(start=5)}, "protocol.start: must be a group of fields, not 5"),
-        (
-            {"omega": [0.6, 0.7]},
-            "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; there is "
-            "one from gamma 0.669",
-        ),
-        ({"model": {"kind": "ball"}}, "protocol.start: needs a spring, and model.kind is 'ball'; "),
-        ({"omega": range_(0.5, 1.0, 1001)}, "protocol.start: is possible for at most 1,000 lines, and "),
-    ],
-)
+@for_each(("changes", "expected"), [
+    ({"protocol": ramp(start={"bounces": 2})}, "protocol.start.bounces: must be 1, not 2: "),
+    ({"protocol": ramp(start=5)}, "protocol.start: must be a group of fields, not 5"),
+    (
+        {"omega": [0.6, 0.7]},
+        "protocol.start: there is no stable cycle (1, 1) at gamma 0.6, omega 0.7, xi 0.05; there is "
+        "one from gamma 0.669",
+    ),
+    ({"model": {"kind": "ball"}}, "protocol.start: needs a spring, and model.kind is 'ball'; "),
+    ({"omega": range_(0.5, 1.0, 1001)}, "protocol.start: is possible for at most 1,000 lines, and "),
+])  # fmt: skip
 def test_a_start_on_a_cycle_that_cannot_be_is_refused(changes, expected):
     assert message(**(SEEDED | changes)).startswith(expected)
 
@@ -300,19 +297,16 @@ def test_identity_is_not_forgotten_from_release_to_release():
 PLAIN = {"model": {"kind": "stepped", "events": "plain"}}
 
 
-@for_each(
-    ("changes", "certifies", "until"),
-    [
-        ({}, True, 5000),
-        ({"model": {"kind": "rigid"}}, True, 5000),
-        ({"model": {"kind": "auto"}}, True, 5000),
-        ({"protocol": ramp(), "gamma": range_(), "until": 8000}, True, 8000),
-        ({"model": {"kind": "ball"}, "observe": 10_000}, True, 10_200),  # no extension
-        ({"settle": 200}, False, None),
-        ({"exponents": 1}, False, 5000),
-        (PLAIN, False, 5000),
-    ],
-)
+@for_each(("changes", "certifies", "until"), [
+    ({}, True, 5000),
+    ({"model": {"kind": "rigid"}}, True, 5000),
+    ({"model": {"kind": "auto"}}, True, 5000),
+    ({"protocol": ramp(), "gamma": range_(), "until": 8000}, True, 8000),
+    ({"model": {"kind": "ball"}, "observe": 10_000}, True, 10_200),  # no extension
+    ({"settle": 200}, False, None),
+    ({"exponents": 1}, False, 5000),
+    (PLAIN, False, 5000),
+])  # fmt: skip
 def test_cells_are_certified_unless_windows_are_fixed_or_tangents_are_missing(changes, certifies, until):
     spec = sweep(**changes)
     assert (spec.certifies, spec.settles_until, spec.window[0]) == (certifies, until, 200)
@@ -352,13 +346,10 @@ def test_a_ball_that_is_given_no_restitution_has_its_springs():
     assert given.plate_arguments(*cells)["restitution"].tolist() == [0.3, 0.3]
 
 
-@for_each(
-    ("name", "text", "fields"),
-    [
-        ("a.toml", "gamma = inf\nomega = 2020-01-01\nxi = 0.1\n", ["gamma", "omega"]),
-        ("a.json", '{"gamma": 1e999, "omega": 1, "xi": 1}', ["gamma"]),
-    ],
-)
+@for_each(("name", "text", "fields"), [
+    ("a.toml", "gamma = inf\nomega = 2020-01-01\nxi = 0.1\n", ["gamma", "omega"]),
+    ("a.json", '{"gamma": 1e999, "omega": 1, "xi": 1}', ["gamma"]),
+])  # fmt: skip
 def test_infinities_words_and_dates_are_no_numbers(tmp_path, name, text, fields):
     (tmp_path / name).write_text(text)
     with pytest.raises(SpecInvalid) as caught:
@@ -395,22 +386,15 @@ def test_unreadable_text_says(text, expected):
     assert str(caught.value).startswith(expected)
 
 
-@for_each(
-    ("name", "content", "expected"),
-    [
-        ("a.txt", b"", "a specification file ends in .json or .toml"),
-        (
-            "a.TOML",
-            b"\xef\xbb\xbfgamma = 0,4",
-            "TOML at line 1, column 10: a number has a decimal point, no ",
-        ),
-        ("a.toml", b"[model]\n[model]", "a field is given twice, at line 2; give it once"),
-        ("a.toml", b"gamma = ", "the text is not TOML"),
-        ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
-        ("a.toml", b" " * 1_000_001, "a TOML file must be at most 1,000,000 bytes; give long axes as "),
-        ("a.json", b" " * 4_000_001, "must be at most 4,000,000 bytes; give long axes as ranges"),
-    ],
-)
+@for_each(("name", "content", "expected"), [
+    ("a.txt", b"", "a specification file ends in .json or .toml"),
+    ("a.TOML", b"\xef\xbb\xbfgamma = 0,4", "TOML at line 1, column 10: a number has a decimal point, no "),
+    ("a.toml", b"[model]\n[model]", "a field is given twice, at line 2; give it once"),
+    ("a.toml", b"gamma = ", "the text is not TOML"),
+    ("a.toml", b"\xff", "the text is not UTF-8 at byte 0"),
+    ("a.toml", b" " * 1_000_001, "a TOML file must be at most 1,000,000 bytes; give long axes as "),
+    ("a.json", b" " * 4_000_001, "must be at most 4,000,000 bytes; give long axes as ranges"),
+])  # fmt: skip
 def test_unreadable_file_says(tmp_path, name, content, expected):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SpecUnreadable) as caught:

@@ -123,19 +123,16 @@ def pipe(root: Path) -> None:
     os.mkfifo(root)
 
 
-@pytest.mark.parametrize(
-    ("spec", "harm", "reason"),
-    [
-        (sweep(), edited(lambda attrs: attrs["spec"].update(omega=0.7)), "its sweep is"),
-        (sweep(), edited(lambda attrs: attrs.update(job="0" * 32)), "it names job 000"),
-        (sweep(), edited(lambda attrs: attrs.pop("spec")), "it has no attribute 'spec'$"),
-        (sweep(), edited(lambda attrs: attrs.update(chunk_shape=[1, 1, 1])), r"\[1, 1, 1\] is not that of"),
-        (AUTO, edited(lambda attrs: attrs["choice"].pop("table")), "choice is not the choice of a model$"),
-        (AUTO, edited(lambda attrs: attrs["choice"].update(model="none")), "is not the choice of a model$"),
-        (sweep(), pipe, "no store here$"),
-        (sweep(), nested, "cannot be adopted: .*$"),
-    ],
-)
+@pytest.mark.parametrize(("spec", "harm", "reason"), [
+    (sweep(), edited(lambda attrs: attrs["spec"].update(omega=0.7)), "its sweep is"),
+    (sweep(), edited(lambda attrs: attrs.update(job="0" * 32)), "it names job 000"),
+    (sweep(), edited(lambda attrs: attrs.pop("spec")), "it has no attribute 'spec'$"),
+    (sweep(), edited(lambda attrs: attrs.update(chunk_shape=[1, 1, 1])), r"\[1, 1, 1\] is not that of"),
+    (AUTO, edited(lambda attrs: attrs["choice"].pop("table")), "choice is not the choice of a model$"),
+    (AUTO, edited(lambda attrs: attrs["choice"].update(model="none")), "is not the choice of a model$"),
+    (sweep(), pipe, "no store here$"),
+    (sweep(), nested, "cannot be adopted: .*$"),
+])  # fmt: skip
 def test_a_pipe_or_a_store_that_contradicts_itself_is_not_adopted(
     tmp_path: Path, spec: SweepSpec, harm: Callable[[Path], None], reason: str
 ):

@@ -171,27 +171,24 @@ def _impossible(array: str, value: float) -> Callable[[bytes], bytes]:
     return _resealed(change)
 
 
-@for_each(
-    ("change", "status", "said"),
-    [
-        (lambda page: b"<html><p>A letter.</p></html>", 422, "is not one that bounce share wrote"),
-        (lambda page: page[: page.index(b"</script>") - 9], 422, "is damaged"),
-        (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
-        (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
-        (_resealed(_swapped), 422, "is damaged"),
-        (_impossible("flights", 2**31 - 1), 422, "is damaged"),
-        (_impossible("end_state", np.nan), 422, "is damaged"),
-        (_impossible("end_state", 7.0), 422, "is damaged"),  # a phase beyond 2 pi
-        (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
-        (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
-        (_resealed(lambda contents: contents.update(runs=NEVER)), 422, "is damaged"),
-        (_root(f'version": "{KERNEL_VERSION}"', 'version": "0"'), 422, "computed by kernel version 0"),
-        (_root('"attributes": {', '"attributes": [], "": {'), 422, "is damaged"),
-        (_root('"spec": ', '"spec": [], "": '), 422, "is damaged"),
-        (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
-        (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
-    ],
-)  # fmt: skip
+@for_each(("change", "status", "said"), [
+    (lambda page: b"<html><p>A letter.</p></html>", 422, "is not one that bounce share wrote"),
+    (lambda page: page[: page.index(b"</script>") - 9], 422, "is damaged"),
+    (lambda page: re.sub(rb'(outcome/c[^"]*": "....)....', rb"\1AAAA", page), 422, "is damaged"),
+    (lambda page: sharing._BLOCK.sub(b"", page), 422, "holds only a part of its numbers"),
+    (_resealed(_swapped), 422, "is damaged"),
+    (_impossible("flights", 2**31 - 1), 422, "is damaged"),
+    (_impossible("end_state", np.nan), 422, "is damaged"),
+    (_impossible("end_state", 7.0), 422, "is damaged"),  # a phase beyond 2 pi
+    (_resealed(lambda contents: contents.update({"../../evil": b"x"})), 422, "is damaged"),
+    (_resealed(lambda contents: contents.pop("zarr.json") and None), 422, "is damaged"),
+    (_resealed(lambda contents: contents.update(runs=NEVER)), 422, "is damaged"),
+    (_root(f'version": "{KERNEL_VERSION}"', 'version": "0"'), 422, "computed by kernel version 0"),
+    (_root('"attributes": {', '"attributes": [], "": {'), 422, "is damaged"),
+    (_root('"spec": ', '"spec": [], "": '), 422, "is damaged"),
+    (_root('num\\": 11', 'num\\": 12'), 422, "is damaged"),
+    (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
+])  # fmt: skip
 def test_what_is_none_is_refused_in_one_sentence(
     shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path],
     change: Callable[[bytes], bytes], status: int, said: str,
