@@ -116,19 +116,6 @@ def test_drops_that_still_settle_are_undecided(
     assert int(cell.attractor_count) == columns - 1
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    data = computed(str(tmp_path_factory.mktemp("whole") / "a.zarr"), multistability())
-    return {name: data[name].values.tobytes() for name in data.data_vars}
-
-
-def test_lines_in_one_chunk_or_in_several_are_the_same_bytes(tmp_path: Path, whole: dict[str, bytes]):
-    for i, shape in enumerate(((1, 1, 3), (1, 2, 3))):
-        data = computed(str(tmp_path / f"{i}.zarr"), multistability(), shape)
-        for name, content in whole.items():
-            assert data[name].values.tobytes() == content, (name, shape)
-
-
 def test_lines_are_not_cut_and_one_too_long_for_a_chunk_is_refused_with_the_number_that_is_not():
     with pytest.raises(ValueError, match="must span the 3 values of gamma, not 2"):
         STUDIES["multistability"].plan(multistability(), (1, 1, 2))

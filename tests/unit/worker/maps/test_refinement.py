@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from chunks import compute, cut_finely, planned, run_in_slices
-from stores import files
+from chunks import compute
 from studies import spec_of
 from tables import for_each
 
@@ -89,17 +88,6 @@ def test_computed_cells_are_those_of_the_full_grid(full, tmp_path, by):
     for outcome in Outcome:
         shares = [np.mean(cells["outcome"] == outcome) for cells in (full, found)]
         assert by == "bouncing" or abs(shares[0] - shares[1]) < 0.01, outcome
-
-
-def test_same_bytes_interrupted_and_resumed(tmp_path, monkeypatch):
-    refine, omega = {"by": "mode", "coarsest": 8}, {"start": 0.35, "stop": 0.7, "num": 20}
-    spec = sweep(refine=refine, omega=omega, until=300)
-    compute(tmp_path / "whole.zarr", spec, TILE)
-    cut_finely(monkeypatch, 16384)
-    url = tmp_path / "paused.zarr"
-    plan = planned(url, spec, TILE)
-    assert sum(run_in_slices(spec, chunk, str(url))[1] for chunk in plan) > len(plan)
-    assert files(url) == files(tmp_path / "whole.zarr")
 
 
 @for_each(("refine", "field", "rule"), [

@@ -62,13 +62,6 @@ def test_a_spring_without_branches_is_unresolved(stored: xarray.Dataset):
     assert int((stored.outcome == Outcome.PERIODIC).sum()) == 5
 
 
-def test_chunks_do_not_change_what_is_stored(stored: xarray.Dataset, tmp_path: Path):
-    for i, shape in enumerate(((1, 1), (2, 2))):
-        again = computed(str(tmp_path / f"{i}.zarr"), OrbitsSpec.parse(SPEC), shape)
-        for name in stored.data_vars:
-            assert again[name].values.tobytes() == stored[name].values.tobytes(), name
-
-
 @for_each(("changes", "rule"), [
     ({"modes": ["2-2"]}, "modes[0]: must have one bounce"),
     ({"modes": ["1-1", "1-1"]}, "modes: must not name a mode twice"),

@@ -122,31 +122,6 @@ def test_chunk_that_cannot_be_stored_is_not_computed(tmp_path):
         run_chunk(spec, make_plan(spec, chunk_shape=(2, 3, 2))[0], url)
 
 
-#: Sweeps, and steps between two pauses: so few that every chunk pauses within lines, too.
-PAUSING = {
-    "in lanes": ({"model": {"kind": "rigid"}}, 2003),
-    "soft ramp in lanes": ({"model": {"kind": "soft"}, "protocol": ramp("gamma", "both")}, 8009),
-    "settling": ({"model": {"kind": "soft"}, "settle": "auto"}, 2003),
-    "exponents": ({"model": {"kind": "soft"}, "protocol": ramp("omega", "down"), "exponents": 2}, 401),
-    "stepped": ({"model": {"kind": "stepped"}, "protocol": ramp("xi", "up")}, 211),
-}
-
-
-@pytest.mark.parametrize(("changes", "steps"), PAUSING.values(), ids=PAUSING.keys())
-def test_a_chunk_that_pauses_stores_the_same_bytes(tmp_path, monkeypatch, changes, steps):
-    cut_finely(monkeypatch, steps)
-    spec = small(**changes)
-    plan, whole = stored(tmp_path / "whole", spec)
-    _, url = stored(tmp_path, spec, plan.chunk_shape)
-    for chunk in plan:
-        report, pauses = run_in_slices(spec, chunk, url)
-        expected = run_chunk(spec, chunk, whole)
-        assert report.outcomes == expected.outcomes
-        assert pauses > 1
-        assert 0 < report.kernel_seconds < report.seconds
-    assert files(url) == files(whole)
-
-
 def test_a_checkpoint_of_another_line_begins_anew(tmp_path, monkeypatch):
     cut_finely(monkeypatch, 100)
     spec = small(model={"kind": "soft"}, protocol=ramp("gamma", "up"), exponents=1)
