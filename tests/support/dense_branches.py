@@ -64,6 +64,13 @@ def _starts(down: np.ndarray, whole: np.ndarray, b: float, w: float) -> np.ndarr
     return np.asarray(np.linalg.solve(system, right[..., None])[..., 0])
 
 
+def takeoff(omega: float, xi: float, periods: int, flight_time: float) -> np.ndarray:
+    """(q, v, c, s) at take-off of the cycle with one flight time."""
+    flight, contact, landing = _generators(omega, xi)
+    fly, stick = expm(flight * flight_time), expm(contact * (2.0 * math.pi * periods - flight_time))
+    return _starts(fly[None], (stick @ landing @ fly)[None], 2.0 * xi / omega, 1.0 / omega**2)[0]
+
+
 def events(omega: float, xi: float, periods: int, below: float, points: int = 20_000) -> list[Found]:
     """Folds, flips and Neimark-Sacker points with Gamma < below, by flight time."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
