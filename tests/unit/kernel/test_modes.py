@@ -29,18 +29,6 @@ def repeated(
     return flown, first + np.concatenate([[0.0], np.cumsum(spans)[:-1]])
 
 
-@for_each("times", [3, 4, 10])
-@for_each(("flights", "periods"), [
-    ([4.855], 1), ([3.72, 6.28], 2), ([11.2], 2), ([5.08, 1.84, 4.88], 4), ([0.1, 0.2, 0.3, 0.4, 5.0], 1),
-])  # fmt: skip
-def test_a_cycle_seen_three_times_is_found(flights, periods, times):
-    rest = TWO_PI * periods - sum(flights)
-    waits = [rest / len(flights)] * len(flights)
-    assert find(*repeated(flights, waits, times)) == (len(flights), periods)
-    flown, takeoffs = repeated(flights, waits, 3)
-    assert find(flown[1:], takeoffs[1:]) == (0, 0)  # once less than three times
-
-
 @pytest.mark.parametrize("first", [0.0, 1e-9, TWO_PI - 1e-9, math.pi])
 def test_take_off_at_the_turn_of_the_phase(first):
     """Rounding puts some of them at 0 and some at 2 pi."""

@@ -4,14 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from kernel_runs import TWO_PI, Model, run
+from kernel_runs import TWO_PI, Model, constants, run
+from naive import Setting
 from tables import for_each
 
-from kernel import interface
 from kernel.interface import State, plate_phase
-from kernel.models.ball import BallPlate
-from kernel.models.rigid import RigidPlate, Stuck
-from kernel.models.soft import SoftPlate
+from kernel.models.rigid import Stuck
 from kernel.models.soft_contact import liftoff_function, modes_of
 from kernel.numerics.first_root import HORIZON, first_root
 from kernel.params import Line, Outcome
@@ -24,13 +22,6 @@ KINDS = [Model.BALL, Model.RIGID, Model.SOFT]
 
 #: Up to a hundredth below the threshold, in steps of a hundredth.
 BELOW = np.arange(0.02, 0.985, 0.01)
-
-
-def cell(which: Model, gamma: float, omega: float, xi: float):
-    """The kernel's constants of one cell, e = 0.01 and d = 1e-3."""
-    e, d = np.array([0.01]), np.array([1e-3])
-    plate = {Model.BALL: BallPlate(e), Model.RIGID: RigidPlate(e), Model.SOFT: SoftPlate(e, d, True)}[which]
-    return interface.prepare(plate, 0, gamma, omega, xi)
 
 
 def up(which: Model, omega: float, xi: float) -> tuple[np.ndarray, Line]:
@@ -68,7 +59,7 @@ def test_at_the_threshold_to_the_last_digit_there_is_an_answer(which, carry):
 @for_each(("omega", "xi"), CELLS)
 def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, xi):
     for gamma, phi, (_, _, q, q1) in list(arrivals(Model.RIGID, omega, xi))[::6]:
-        s = cell(Model.RIGID, gamma, omega, xi)
+        s = constants(Setting(gamma, omega, xi, restitution=0.01))
         h = q - s.static_elongation - (s.q_re * math.cos(phi) - s.q_im * math.sin(phi))
         h1 = q1 + (s.q_re * math.sin(phi) + s.q_im * math.cos(phi))
         h2 = -s.dashpot * h1 - s.stiffness * h
@@ -77,7 +68,7 @@ def test_where_the_closed_form_excludes_a_take_off_the_search_finds_none(omega, 
         assert (tau, ending) == (30.0 * TWO_PI, HORIZON)
         assert used > 30  # many evaluations, none of which is a zero
     for gamma, phi, state in list(arrivals(Model.SOFT, omega, xi))[::6]:
-        s = cell(Model.SOFT, gamma, omega, xi)
+        s = constants(Setting(gamma, omega, xi, soft=True, restitution=0.01))
         p = liftoff_function(s, modes_of(s, plate_phase(phi), state), phi)
         tau, ending, used = first_root(p, 0.0, 30.0 * TWO_PI, 1_000_000)
         assert (tau, ending) == (30.0 * TWO_PI, HORIZON)

@@ -6,8 +6,9 @@ from collections.abc import Callable
 import mpmath
 import numpy as np
 import pytest
-from kernel_runs import Model
+from kernel_runs import Model, recorded
 from kernel_runs import run as run_any
+from naive_ball import Fall
 from tables import for_each
 
 from kernel import interface, restitution
@@ -22,10 +23,6 @@ TWO_PI = 2.0 * math.pi
 
 def run(gamma, epsilon=0.0, *, settle=200, observe=100, **more) -> Line:
     return run_any(gamma, 1.0, 1.0, Model.BALL, restitution=epsilon, settle=settle, observe=observe, **more)
-
-
-def flights(line: Line, i: int = 0) -> np.ndarray:
-    return line.flight_time[i, : min(line.flights[i], line.flight_time.shape[1])]
 
 
 def mode(line: Line) -> tuple[int, int]:
@@ -54,7 +51,7 @@ def test_flight_time_from_rest_obeys_its_formula():
     gammas = np.concatenate([1.0 + np.logspace(-12, -1, 12), np.linspace(1.2, 3.29, 20)])
     line = run(gammas)
     for i, gamma in enumerate(gammas):
-        time = flights(line, i)[-1]
+        time = recorded(line, i)[-1]
         # sqrt(Gamma^2 - 1) = (T^2/2 - 1 + cos T)/(T - sin T), by series where that cancels
         if time > 0.1:
             expected = (0.5 * time**2 - 1.0 + math.cos(time)) / (time - math.sin(time))
@@ -66,7 +63,7 @@ def test_flight_time_from_rest_obeys_its_formula():
 
 
 def test_sticking_ends_where_the_flight_fills_the_period():
-    gamma = bisect(lambda g: flights(run(g))[-1] < TWO_PI - 1e-8, 3.2, 3.4)
+    gamma = bisect(lambda g: recorded(run(g))[-1] < TWO_PI - 1e-8, 3.2, 3.4)
     assert gamma == pytest.approx(math.sqrt(1.0 + math.pi**2), abs=1e-6)
 
 
@@ -85,7 +82,7 @@ def test_period_doubling(epsilon: float, n: int):
             run(gamma, epsilon, carry=True, settle=settle, observe=20, start=start)
             for settle in (20, 200_000)
         )
-        return abs(flights(late)[-1] - TWO_PI * n) < abs(flights(early)[-1] - TWO_PI * n)
+        return abs(recorded(late)[-1] - TWO_PI * n) < abs(recorded(early)[-1] - TWO_PI * n)
 
     node = n * math.pi * (1.0 - epsilon) / (1.0 + epsilon)
     flip = math.hypot(node, 2.0 * (1.0 + epsilon**2) / (1.0 + epsilon) ** 2)
@@ -129,7 +126,7 @@ def test_saddle_node(epsilon: float, n: int):
 
     def is_gone(gamma: float) -> bool:
         line = run(gamma, epsilon, carry=True, settle=20_000, start=locked(gamma, epsilon, n))
-        times = flights(line)
+        times = recorded(line)
         return len(times) == 0 or abs(times[-1] - TWO_PI * n) > 0.05
 
     node = n * math.pi * (1.0 - epsilon) / (1.0 + epsilon)
@@ -141,22 +138,12 @@ def make_fall(gamma: float, phi: float, gap: float, gap1: float) -> flight.Fligh
     return ball.fall(cell, plate_phase(phi), State(gap, gap1, 0.0, 0.0))
 
 
-def gap_after(gamma: float, phi: float, gap: float, gap1: float, tau):
-    return (
-        gap
-        + (gap1 - math.sin(phi)) * tau
-        - 0.5 * tau**2 / gamma
-        + 2.0 * np.sin(phi + 0.5 * tau) * np.sin(0.5 * tau)
-    )
-
-
 def test_grazes_are_distinguished_from_misses():
     """The plate comes up to just touch the ball, or just not, and lets it go on."""
     gamma, phi, gap1 = 4.0, 4.9, -0.5
-    taus = np.linspace(0.0, 2.0, 20_001)
-    lowest = gap_after(gamma, phi, 0.0, gap1, taus)
-    bottom = taus[lowest.argmin()]
-    touch = -min(gap_after(gamma, phi, 0.0, gap1, bottom + np.linspace(-1e-3, 1e-3, 20_001)))
+    fall, taus = Fall(gamma, phi, 0.0, gap1), np.linspace(0.0, 2.0, 20_001)
+    bottom = taus[fall.gaps(taus).argmin()]
+    touch = -min(fall.gaps(bottom + np.linspace(-1e-3, 1e-3, 20_001)))
     for above, lands in ((-1e-9, True), (-1e-12, True), (1e-12, False), (1e-9, False)):
         tau, _, _ = flight.landing(make_fall(gamma, phi, touch + above, gap1), 0.0, 1e4, 10_000)
         assert (abs(tau - bottom) < 0.1) == lands
@@ -255,7 +242,7 @@ def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
     for i in range(2, len(gammas) - 2):
         modes = {(int(line.bounces[j]), int(line.periods[j])) for line in lines for j in range(i - 2, i + 3)}
         if len(modes) == 1 and modes != {(0, 0)}:
-            counted = [np.sort([t for t in flights(line, i) if t > 0.1])[-5:] for line in lines]
+            counted = [np.sort([t for t in recorded(line, i) if t > 0.1])[-5:] for line in lines]
             assert counted[0] == pytest.approx(counted[1], abs=0.05)
             compared += 1
     assert compared > 20

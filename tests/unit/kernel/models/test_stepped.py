@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from kernel_runs import Model, run_line
+from kernel_runs import Model, run
 
 from kernel import restitution
 from kernel.interface import State
@@ -14,18 +14,6 @@ from kernel.step_limits import largest_stable_step, stable_steps_per_contact
 
 SCHEMES = ["verlet", "euler"]
 ORDER = {"verlet": 2.0, "euler": 1.0}
-
-
-def run(
-    model, gamma, omega, xi, *, e=0.3, d=0.02, adhesive=True, settle=60, observe=30, carry=False, **more
-) -> Line:
-    gamma = np.atleast_1d(np.asarray(gamma, dtype=float))
-    full = np.full_like
-    return run_line(
-        gamma, full(gamma, omega), full(gamma, xi), model=model, restitution=full(gamma, e),
-        penetration=full(gamma, d), adhesive=adhesive, carry=carry, settle=settle, observe=observe, keep=64,
-        **more,
-    )  # fmt: skip
 
 
 def last_flights(line: Line, count: int, at_least: float = 0.0) -> np.ndarray:
@@ -40,15 +28,13 @@ def last_flights(line: Line, count: int, at_least: float = 0.0) -> np.ndarray:
     ("gamma", "omega", "xi", "e"), [(1.5, 0.5, 0.26, 0.1), (0.5, 1.0, 0.05, 0.1), (2.5, 2.0, 0.3, 0.3)]
 )
 def test_converges_to_exact_soft_at_its_order(gamma, omega, xi, e, name, adhesive):
-    exact = run(Model.SOFT, gamma, omega, xi, e=e, adhesive=adhesive, settle=150)
+    contact = {"restitution": e, "penetration": 0.02, "adhesive": adhesive, "settle": 150, "observe": 30}
+    exact = run(gamma, omega, xi, Model.SOFT, **contact)
     bounces = int(exact.bounces[0])
     assert exact.outcome[0] == Outcome.PERIODIC
     numbers, errors = [80, 160, 320], []
     for number in numbers:
-        line = run(
-            Model.STEPPED, gamma, omega, xi, e=e, adhesive=adhesive, settle=150,
-            steps_per_contact=number, scheme=name,
-        )  # fmt: skip
+        line = run(gamma, omega, xi, Model.STEPPED, **contact, steps_per_contact=number, scheme=name)
         assert line.bounces[0] == bounces
         errors.append(np.abs(last_flights(line, bounces) - last_flights(exact, bounces)).max())
     slope, _ = np.polyfit(np.log(numbers), np.log(errors), 1)
@@ -122,10 +108,11 @@ def test_contact_time_is_that_of_an_isolated_impact(adhesive: bool):
 )
 def test_a_run_needs_the_fewest_stable_steps(name: str, omega: float, xi: float, d: float):
     fewest = int(stable_steps_per_contact(omega, xi, 0.1, d, scheme=name))
-    exact = last_flights(run(Model.SOFT, 1.5, omega, xi, e=0.1, d=d), 1, 1.0)
+    contact = {"restitution": 0.1, "penetration": d, "settle": 60, "observe": 30}
+    exact = last_flights(run(1.5, omega, xi, Model.SOFT, **contact), 1, 1.0)
 
     def outcome(number: int) -> tuple[int, np.ndarray]:
-        line = run(Model.STEPPED, 1.5, omega, xi, e=0.1, d=d, scheme=name, steps_per_contact=number)
+        line = run(1.5, omega, xi, Model.STEPPED, **contact, scheme=name, steps_per_contact=number)
         return int(line.outcome[0]), last_flights(line, 1, 1.0)
 
     assert outcome(fewest) == (Outcome.PERIODIC, pytest.approx(exact, abs=0.01))
