@@ -15,14 +15,6 @@ from kernel.proofs.branches import Branch, prove_down
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 
-#: Omega at xi = 0.05, and Gamma at the lowest fold of (1,1) to 18 digits.
-LOWEST = {
-    "0.56": "0.740719879353054267",
-    "0.60": "0.553244593224092931",
-    "0.62": "0.507033468652833283",
-    "0.66": "0.596879494373674877",
-    "0.70": "0.669279136329714241",
-}
 KINDS = (Kind.FOLD, Kind.FLIP)
 
 
@@ -39,13 +31,6 @@ def random_springs(n):
     for _ in range(n):
         omega, xi = round(random.uniform(0.26, 1.3), 4), round(random.uniform(0.04, 0.3), 4)
         yield omega, xi, int(random.choice([1, 2]))
-
-
-@pytest.mark.parametrize("omega", LOWEST)
-def test_bouncing_persists_from_just_above_the_fold(omega):
-    proof = prove_down(float(omega), 0.05, thresholds(float(omega), 0.05).fold)
-    assert LOWEST[omega] in bounds(proof.gamma)
-    assert float(proof.says.split()[-1]) > float(bounds(proof.gamma)[1])
 
 
 def test_golden_folds_and_flips_are_proven():
@@ -83,6 +68,8 @@ def test_answers_of_the_rule_are_proven_as_upper_bounds():
             f"{answer.down} is not {bounds(proof.gamma)}"
         )
         assert expected is None or abs(proof.gamma - expected) < 1e-11, f"{expected}: {bounds(proof.gamma)}"
+        if answer.fold.cycle.letters == "Ss":  # cycles exist from the fold to a gamma above it
+            assert float(proof.says.split()[-1]) > float(bounds(proof.gamma)[1])
 
 
 def test_no_flight_time_beside_a_fold_is_proven_to_be_one():
