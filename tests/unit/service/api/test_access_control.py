@@ -65,7 +65,7 @@ def bearer(token: str) -> dict[str, str]:
 # Tokens
 
 
-@for_each("given", ["", "wrong", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
+@for_each("given", ["", "wrong", "auto", TOKEN[:-1], TOKEN + "x", TOKEN.upper()])
 def test_every_endpoint_requires_the_token(guarded: TestClient, given: str):
     job = guarded.post("/v1/jobs", json=SWEEP, headers=bearer(TOKEN)).json()
     for method, path in CALLS:
@@ -135,11 +135,6 @@ def test_a_job_names_who_submitted_it(named: TestClient):
     assert [job["owner"] for job in listed] == [None, "ben@lab", "ana", None]
     assert submitted(named, BEN, 0.3).json()["owner"] == "ana"  # the same sweep is the same job
     assert ANA not in json.dumps(listed)
-
-
-@for_each("sent", [ANA[:-1], ANA + "x", f"ana: {ANA}", "ana", "", "auto"])
-def test_nothing_but_a_token_of_the_file_is_accepted(named: TestClient, sent: str):
-    assert submitted(named, sent, 0.3).status_code == 401
 
 
 # Settings
@@ -238,14 +233,6 @@ def test_a_link_on_a_page_of_another_origin_works(local: TestClient, site: str):
     assert local.post("/v1/jobs", json=SWEEP, headers=navigation).status_code == (
         200 if site in ("same-origin", "none") else 403
     )
-
-
-@pytest.mark.parametrize("site", ["same-origin", "none"])
-def test_its_own_page_may_load_everything(local: TestClient, site: str):
-    job = local.post("/v1/jobs", json=SWEEP).json()["links"]["self"]
-    headers = {"Sec-Fetch-Site": site, "Sec-Fetch-Mode": "cors", "Sec-Fetch-Dest": "empty"}
-    for path in (job, f"{job}/diagram", "/", "/static/js/main.js"):
-        assert local.get(path, headers=headers).status_code == 200
 
 
 @for_each(("method", "path"), [call for call in READS if call[0] == "GET"])

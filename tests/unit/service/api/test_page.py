@@ -6,7 +6,7 @@ from pathlib import Path
 
 from fastapi.testclient import TestClient
 from scripted import Held
-from served import read, service
+from served import service
 from studies import spec_of
 from tables import for_each
 
@@ -78,6 +78,3 @@ def test_the_trajectory_of_a_cell_not_computed_yet_is_refused(tmp_path: Path):
         response = client.get(f"{job_url}/trajectory", params={"gamma": 0.6})
         assert response.status_code == 422
         assert "not computed yet" in response.json()["detail"]
-        line = read(client, f"{job_url}/diagram")
-        assert not line.attrs["complete"]
-        assert line.flight_time.isnull().all()

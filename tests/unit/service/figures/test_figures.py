@@ -5,12 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 import steps
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from tables import for_each
 
 from service.client import BounceError
-from service.figures import catalogue, schematics
+from service.figures import catalogue
 from service.figures.drawing import Caption, compared, left_open
 from service.figures.onsets import minima
 
@@ -51,11 +49,3 @@ def test_caption_sorts_claims():
     sorted_ = ["Fig. 5. A line.", "Agrees: one; four.", "Contradicts: two.", "Left open by the paper: three."]
     assert str(Caption(5, "A line.", claims)) == "\n".join(sorted_)
     assert str(Caption(5, "A line.", ())) == "Fig. 5. A line."
-
-
-def test_figure_1_has_a_ball_of_one_mass_and_a_spring_of_two_above_the_plate():
-    schematics.figure_1().compose(figure := Figure())
-    for axes, number in zip(figure.axes, (1, 2), strict=True):
-        masses = [patch for patch in axes.patches if isinstance(patch, Circle)]
-        assert len(masses) == number
-        assert min(mass.center[1] - mass.radius for mass in masses) > schematics.PLATE
