@@ -59,19 +59,6 @@ def test_long_branches_are_refused_before_they_are_computed(client: TestClient):
     assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
 
 
-def test_a_branch_along_another_parameter(python_client: Client):
-    """The turn is that of issue 45."""
-    query: dict[str, Any] = {"modes": "1-1", "along": "omega", "gamma": 0.6, "model": "soft"}
-    answer = python_client.orbits(0.6, 0.05, **query, progress=False)
-    turn = answer.event_omega.values[answer.event_kind.values == "fold"].max()
-    assert turn == pytest.approx(0.661091706414, abs=1e-9)
-    assert answer.omega.dims == answer.gamma.dims
-    assert np.nanmax(answer.omega) == pytest.approx(turn, abs=1e-3)
-    figure = Figure()
-    orbits_view.draw(answer, figure)
-    assert figure.axes[0].get_xlabel() == AXES["omega"]
-
-
 def test_branches_are_as_smooth_in_a_window(python_client: Client):
     """Beside the fold, from which a chord between the points of the whole branch is far."""
     window = {"start": 0.5532, "stop": 0.5533, "flight_start": 4.17, "flight_stop": 4.2}
@@ -327,6 +314,8 @@ def test_branches_along_xi_end_without_damping(python_client: Client):
     query: dict[str, Any] = {"modes": "1-1", "along": "xi", "gamma": 2.0, "model": "soft"}
     undamped = python_client.orbits(0.5, 0.0, **query, progress=False)
     assert np.nanmin(undamped.xi) == 0.0
+    orbits_view.draw(undamped, figure := Figure())
+    assert figure.axes[0].get_xlabel() == AXES["xi"]
     along_gamma = python_client.orbits(0.5, 0.0, "1-1", model="soft", progress=False)
     order = np.argsort(along_gamma.flight_time.values, axis=None)
     times, gammas = (x.values.ravel()[order] for x in (along_gamma.flight_time, along_gamma.gamma))
@@ -484,6 +473,3 @@ def test_closed_forms_that_take_long_are_left_to_workers(tmp_path: Path, monkeyp
         rule = refused(held, f"{large}/threshold", 422, predict="all")
         assert "the limit for one answer is 200: enough for" in rule
         assert time.process_time() - began < 2.0  # none of the springs was computed here: 150 s
-
-
-# The study
