@@ -146,38 +146,35 @@ def test_a_file_that_others_may_have_made_does_not_count(tmp_path: Path, made: s
         assert tokens.find_token(8000) is not None
 
 
-def test_the_pages_address_has_the_token_in_its_fragment(made: str):
-    def printed(*options: str) -> str:
-        done = CliRunner().invoke(main, ["open", "--print", *options])
-        assert done.exit_code == 0
-        return done.output.strip()
+def opened(*options: str) -> str:
+    """What `bounce open` prints."""
+    done = CliRunner().invoke(main, ["open", *options])
+    assert done.exit_code == 0, done.output
+    return done.stdout.strip()
 
-    assert printed() == f"http://127.0.0.1:8000/#token={made}"
-    assert printed("--url", "http://localhost:8000") == f"http://localhost:8000/#token={made}"
+
+def test_the_pages_address_has_the_token_in_its_fragment(made: str):
+    assert opened("--print") == f"http://127.0.0.1:8000/#token={made}"
+    assert opened("--print", "--url", "http://localhost:8000") == f"http://localhost:8000/#token={made}"
     for other in ("http://127.0.0.1:8001", "http://192.0.2.7:8000", "https://example.org"):
-        assert printed("--url", other) == f"{other}/"
-    assert printed("--token", "one/of#mine&=more") == "http://127.0.0.1:8000/#token=one%2Fof%23mine%26%3Dmore"
+        assert opened("--print", "--url", other) == f"{other}/"
+    coded = "http://127.0.0.1:8000/#token=one%2Fof%23mine%26%3Dmore"
+    assert opened("--print", "--token", "one/of#mine&=more") == coded
 
 
 def test_the_page_is_opened_without_its_token_on_a_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: str
 ):
-    opened, opens = list[str](), True
-    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or opens)
-
-    def printed(*options: str) -> str:
-        done = CliRunner().invoke(main, ["open", *options])
-        assert done.exit_code == 0, done.output
-        return done.stdout
-
-    assert printed() == ""
-    assert opened == [(tmp_path / "open.html").as_uri()]
+    urls, opens = list[str](), True
+    monkeypatch.setattr(webbrowser, "open", lambda url: urls.append(url) or opens)
+    assert opened() == ""
+    assert urls == [(tmp_path / "open.html").as_uri()]
     assert f"url=http://127.0.0.1:8000/#token={made}" in (tmp_path / "open.html").read_text()
     assert stat.S_IMODE((tmp_path / "open.html").stat().st_mode) == 0o600
-    assert printed("--url", "http://127.0.0.1:8001") == ""
-    assert opened[1:] == ["http://127.0.0.1:8001/"]
+    assert opened("--url", "http://127.0.0.1:8001") == ""
+    assert urls[1:] == ["http://127.0.0.1:8001/"]
     opens = False
-    assert printed("--url", "http://127.0.0.1:8001") == "http://127.0.0.1:8001/\n"
+    assert opened("--url", "http://127.0.0.1:8001") == "http://127.0.0.1:8001/"
     monkeypatch.setenv("BOUNCE_DATA", str(tmp_path / "missing"))
     refused = CliRunner().invoke(main, ["open", "--token", made])
     assert (refused.exit_code, "use --print, or set BOUNCE_DATA" in refused.stderr) == (1, True)

@@ -41,6 +41,15 @@ class Done:
         (url,) = folder.rglob("*.zarr")
         self.store = xarray.open_zarr(url, chunks=None).load()
 
+    def netcdf(self) -> xarray.Dataset:
+        content = self.client.get(f"{self.here}/export?format=nc").content
+        with xarray.open_dataset(io.BytesIO(content), engine="h5netcdf") as dataset:
+            return dataset.load()
+
+    def parquet(self, layout: str = "cells") -> Any:
+        content = self.client.get(f"{self.here}/export?format=parquet&layout={layout}").content
+        return parquet.read_table(io.BytesIO(content))
+
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
@@ -49,26 +58,23 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Done]:
         yield Done(client, folder)
 
 
-def test_netcdf_holds_what_the_store_holds(done: Done, tmp_path: Path):
+def test_netcdf_holds_what_the_store_holds(done: Done):
     answer = done.client.get(f"{done.here}/export?format=nc")
     assert answer.status_code == 200
     assert answer.headers["Content-Disposition"].endswith('.nc"')
     assert int(answer.headers["Content-Length"]) == len(answer.content)
     assert answer.headers["Bounce-Complete"] == "true"
-    (tmp_path / "sweep.nc").write_bytes(answer.content)
-    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
-        for name, array in done.store.variables.items():
-            np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
-            assert dataset[name].dims == array.dims
-        assert dataset["flight_time"].attrs["units"] == "rad"
-        assert dataset["outcome"].dtype == np.uint8
-        assert SweepSpec.from_json(dataset.attrs["spec"]) == SweepSpec(**RAMP)
-        assert dataset.direction_code.attrs["flag_meanings"] == "up down"
-        np.testing.assert_array_equal(
-            dataset.direction_code.attrs["flag_values"], dataset.direction_code.values
-        )
-        assert dataset.direction_code.attrs["flag_values"].dtype == np.uint8
-        assert {name: dataset.attrs[name] for name in done.store.attrs} == done.store.attrs
+    dataset = done.netcdf()
+    for name, array in done.store.variables.items():
+        np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
+        assert dataset[name].dims == array.dims
+    assert dataset["flight_time"].attrs["units"] == "rad"
+    assert dataset["outcome"].dtype == np.uint8
+    assert SweepSpec.from_json(dataset.attrs["spec"]) == SweepSpec(**RAMP)
+    flags = dataset.direction_code.attrs
+    assert (flags["flag_meanings"], flags["flag_values"].dtype) == ("up down", np.uint8)
+    np.testing.assert_array_equal(flags["flag_values"], dataset.direction_code.values)
+    assert {name: dataset.attrs[name] for name in done.store.attrs} == done.store.attrs
 
 
 @pytest.mark.skipif(CHECKER is None, reason="needs compliance-checker, which brings its tables")
@@ -81,14 +87,11 @@ def test_netcdf_follows_the_cf_conventions(done: Done, tmp_path: Path):
     assert "All tests passed!" in report.stdout, report.stdout
 
 
-def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_path: Path):
+def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done):
     """Texts and numbers only; what the store says, and the run."""
-    (tmp_path / "sweep.nc").write_bytes(done.client.get(f"{done.here}/export?format=nc").content)
-    with xarray.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as dataset:
-        attributes = dict(dataset.attrs)
-    for rows in ("cells", "flights"):
-        content = done.client.get(f"{done.here}/export?format=parquet&layout={rows}").content
-        metadata = parquet.read_schema(io.BytesIO(content)).metadata
+    attributes = done.netcdf().attrs
+    for layout in ("cells", "flights"):
+        metadata = done.parquet(layout).schema.metadata
         assert {name.decode(): value.decode() for name, value in metadata.items()} == {
             name: str(value) for name, value in attributes.items()
         }
@@ -106,8 +109,7 @@ def test_a_file_tells_what_computed_it_alike_in_every_format(done: Done, tmp_pat
 
 
 def test_parquet_holds_a_row_for_every_cell(done: Done):
-    answer = done.client.get(f"{done.here}/export?format=parquet")
-    table = parquet.read_table(io.BytesIO(answer.content))
+    table = done.parquet()
     assert table.num_rows == done.store.outcome.size
     names = [outcome.name.lower() for outcome in Outcome]
     for row in table.to_pylist():
@@ -216,20 +218,16 @@ def attractors(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
         yield Done(client, folder, spec)
 
 
-def test_netcdf_holds_what_is_stored_of_attractors(attractors: Done, tmp_path: Path):
-    (tmp_path / "a.nc").write_bytes(attractors.client.get(f"{attractors.here}/export?format=nc").content)
-    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
-        assert set(dataset.variables) == set(attractors.store.variables)
-        for name, array in attractors.store.variables.items():
-            np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
-            attrs, units = dataset[name].attrs, array.attrs.get("units", "1")
-            if units in ("1", "rad"):
-                assert attrs.get("units", "1") == units
-            else:  # UDUNITS has no such unit
-                assert (attrs["units"], attrs["long_name"]) == (
-                    "1",
-                    f"{array.attrs['long_name']}, in {units}",
-                )
+def test_netcdf_holds_what_is_stored_of_attractors(attractors: Done):
+    dataset = attractors.netcdf()
+    assert set(dataset.variables) == set(attractors.store.variables)
+    for name, array in attractors.store.variables.items():
+        np.testing.assert_array_equal(dataset[name], array, err_msg=str(name))
+        attrs, units = dataset[name].attrs, array.attrs.get("units", "1")
+        if units in ("1", "rad"):
+            assert attrs.get("units", "1") == units
+        else:  # UDUNITS has no such unit
+            assert (attrs["units"], attrs["long_name"]) == ("1", f"{array.attrs['long_name']}, in {units}")
 
 
 def test_what_is_no_sweep_has_no_page(attractors: Done):
@@ -239,9 +237,7 @@ def test_what_is_no_sweep_has_no_page(attractors: Done):
 
 
 def test_parquet_holds_a_row_for_every_attractor(attractors: Done):
-    content = attractors.client.get(f"{attractors.here}/export?format=parquet").content
-    rows = parquet.read_table(io.BytesIO(content)).to_pylist()
-    stored = attractors.store
+    rows, stored = attractors.parquet().to_pylist(), attractors.store
     assert len(rows) == int(stored.attractor_count.sum())
     for row in rows:
         cell = stored.sel({axis: row[axis] for axis in ("gamma", "omega", "xi")} | {"id": row["id"]})

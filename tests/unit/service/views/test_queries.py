@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray
+from chunks import compute
 from matplotlib.figure import Figure
 from pydantic import ValidationError
 from scripted import small as spec
@@ -24,18 +25,12 @@ from service.views.view import Estimate
 from worker import store, studies
 from worker.store import backend
 from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
-from worker.sweep.task import run_chunk
 
 
-def computed(folder: Path, spec: SweepSpec, chunks: int | None = None) -> Stored:
-    """A store of the sweep with its first `chunks` chunks (or all) computed, a cell or few each."""
-    plan = make_plan(spec, chunk_shape=(1, 2, 5))
+def computed(folder: Path, spec: SweepSpec) -> Stored:
+    """A store of the sweep in chunks of few cells."""
     url = str(folder / "store.zarr")
-    store.create(url, layout(spec, plan.chunk_shape))
-    for chunk in plan[:chunks]:
-        run_chunk(spec, chunk, url)
+    compute(url, spec, (1, 2, 5))
     return Stored(spec, url)
 
 

@@ -28,6 +28,10 @@ from service.jobs.stores import sharing
 from worker import store
 from worker.studies import from_json, study_of
 
+#: A shared file and the files of its store; a service and its data folder.
+Shared = tuple[bytes, dict[str, bytes]]
+Elsewhere = tuple[TestClient, Path]
+
 HTML = {"Content-Type": "application/octet-stream"}
 
 #: Software of a time that no file could tell.
@@ -42,7 +46,7 @@ CROWDED = (
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, dict[str, bytes]]:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Shared:
     """A shared file, and the store that it is of."""
     folder = tmp_path_factory.mktemp("first")
     with computing(folder) as client:
@@ -58,9 +62,7 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[TestCl
         yield client, folder
 
 
-def test_it_is_the_same_job_with_the_same_bytes(
-    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path]
-):
+def test_it_is_the_same_job_with_the_same_bytes(shared: Shared, elsewhere: Elsewhere):
     (page, stored), (client, folder) = shared, elsewhere
     left = (
         folder / "stores" / f"1000-{from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION)}.zarr"
@@ -92,9 +94,7 @@ def test_it_is_the_same_job_with_the_same_bytes(
     assert client.delete(here).status_code == 204
 
 
-def test_a_whole_store_that_the_ledger_does_not_know_stays(
-    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path]
-):
+def test_a_whole_store_that_the_ledger_does_not_know_stays(shared: Shared, elsewhere: Elsewhere):
     (page, stored), (client, folder) = shared, elsewhere
     root = folder / "stores" / f"1000-{from_json(json.dumps(RAMP)).job_id(KERNEL_VERSION)}.zarr" / "zarr.json"
     root.parent.mkdir(parents=True)
@@ -107,9 +107,7 @@ def test_a_whole_store_that_the_ledger_does_not_know_stays(
 
 
 def test_an_import_that_dies_has_its_software_or_is_no_job(
-    shared: tuple[bytes, dict[str, bytes]],
-    elsewhere: tuple[TestClient, Path],
-    monkeypatch: pytest.MonkeyPatch,
+    shared: Shared, elsewhere: Elsewhere, monkeypatch: pytest.MonkeyPatch
 ):
     (page, _), (client, _) = shared, elsewhere
     service = client.app.state.service  # type: ignore[attr-defined]
@@ -190,9 +188,8 @@ def _impossible(array: str, value: float) -> Callable[[bytes], bytes]:
     (lambda page: page + b" " * 2**25, 413, "longer than 33,554,432 bytes"),
 ])  # fmt: skip
 def test_what_is_none_is_refused_in_one_sentence(
-    shared: tuple[bytes, dict[str, bytes]], elsewhere: tuple[TestClient, Path],
-    change: Callable[[bytes], bytes], status: int, said: str,
-):  # fmt: skip
+    shared: Shared, elsewhere: Elsewhere, change: Callable[[bytes], bytes], status: int, said: str
+):
     client, folder = elsewhere
     answer = client.post("/v1/imports", content=change(shared[0]), headers=HTML)
     assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
@@ -214,9 +211,8 @@ def test_what_holds_more_than_any_is_refused_unparsed(text: str):
 
 @pytest.mark.parametrize(("status", "said"), [(422, "is damaged"), (409, "submitted meanwhile")])
 def test_a_store_that_is_not_adopted_says_why(
-    shared: tuple[bytes, dict[str, bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int,
-    said: str,
-):  # fmt: skip
+    shared: Shared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, status: int, said: str
+):
     with computing(tmp_path) as client:
 
         def restore(url: str, *rest: Any) -> None:
