@@ -23,10 +23,6 @@ ORBITS = REFERENCE["rigid"]
 CHAOS = REFERENCE["chaos"]
 
 
-def name_of(orbit: dict) -> str:
-    return f"{orbit['gamma']}-{orbit['omega']}-{orbit['xi']}-T{orbit.get('flight_time', 0.0):.2f}"
-
-
 @for_each("orbit", [o for o in ORBITS if o["stable"]])
 def test_in_a_cycle_they_are_the_logarithms_of_its_multipliers(orbit):
     """On the closed-form orbit over 3,000 periods. Those of a complex pair differ by 1e-3 within a cycle."""
@@ -67,7 +63,7 @@ def test_the_map_over_a_cycle_is_that_of_the_closed_form(orbit):
     assert np.all(vectors[:, :2] == 0.0)
 
 
-@pytest.mark.parametrize("cell", REFERENCE["soft"], ids=name_of)
+@pytest.mark.parametrize("cell", REFERENCE["soft"])
 def test_soft_cycles_have_the_multipliers_of_an_independent_program(cell):
     line = run(
         cell["gamma"], cell["omega"], cell["xi"], Model.SOFT, restitution=cell["restitution"],

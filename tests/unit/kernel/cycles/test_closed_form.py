@@ -17,7 +17,6 @@ from kernel.cycles.spring import spring
 from kernel.params import KernelInputError
 
 REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
-TWO_PI = 2.0 * math.pi
 
 #: Underdamped, critical and overdamped in flight, in contact, and beside; slow and fast plates.
 SPRINGS = [

@@ -233,19 +233,14 @@ FIGURE_2: dict[str, Any] = {
 }  # fmt: skip
 
 
-def _job_orbits(python_client: Client, spec: dict[str, Any], **query: Any) -> Any:
-    job = python_client.submit(spec).wait(progress=False)
-    return job, job.orbits(progress=False, **query)
-
-
 def test_cells_beyond_as_many_branches_as_are_followed_are_named(
     python_client: Client, monkeypatch: pytest.MonkeyPatch
 ):
     """The shortest cycles are followed: (1,1), twice on one branch, and not its double beyond the flip."""
     monkeypatch.setattr("worker.analysis.cycles.MAX_BRANCHES", 1)
-    job, found = _job_orbits(
-        python_client, FIGURE_2 | {"gamma": [1.51, 1.6, 2.3], "model": {"kind": "rigid"}}
-    )
+    spec = FIGURE_2 | {"gamma": [1.51, 1.6, 2.3], "model": {"kind": "rigid"}}
+    job = python_client.submit(spec).wait(progress=False)
+    found = job.orbits(progress=False)
     assert found.sizes["branch"] == 1
     assert found.skipped_gamma.values.tolist() == [2.3]
     assert found.skipped_reason.values.tolist() == ["1 branches were followed before it, the limit"]

@@ -16,8 +16,6 @@ from worker.sweep import AXES, SweepSpec, schema
 from worker.sweep.plan import MAX_SHARD_BYTES, cell_seconds, estimate, longest_cell_seconds, make_plan
 from worker.sweep.schema import layout
 
-RAMPS = [(axis, direction) for axis in AXES for direction in ("up", "down", "both")]
-
 
 def sweep(xi=1, omega=1, gamma=1, ramp=None, **more) -> SweepSpec:
     """A grid of so many values; `ramp` is (axis, direction)."""
