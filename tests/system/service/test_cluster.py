@@ -22,10 +22,6 @@ made = []
 def two_processes():
     made.append(LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=":0"))
     return made[-1]
-
-
-def no_cluster():
-    raise RuntimeError("the queue is closed")
 """
 
 SPEC = spec_of((1.0, 2.0, 6), 0.5, 0.26, window=(5, 5))
@@ -51,16 +47,6 @@ def test_the_cluster_of_a_function_computes_and_is_closed(tmp_path: Path, maker:
         assert {worker["nthreads"] for worker in cluster.scheduler_info["workers"].values()} == {1}
         assert cluster.scheduler.allowed_failures == 0  # whose fault a death was is judged by the service
     assert cluster.status.name == "closed"
-
-
-@pytest.mark.parametrize(
-    ("function", "why"),
-    [("no_cluster", "RuntimeError: the queue is closed"), ("missing", "no attribute 'missing'")],
-)
-def test_a_function_that_fails_gives_the_reason(tmp_path: Path, maker: str, function: str, why: str):
-    settings = read_settings(host="127.0.0.1", port=0, data=tmp_path, cluster=f"{maker}:{function}")
-    with pytest.raises(NotStarted, match=why), embedded.running(settings):
-        pass
 
 
 def test_the_current_folder_comes_after_the_libraries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -190,19 +190,7 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
     assert unexpected == []
 
 
-def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, processes: Processes):
-    stores = tmp_path / "data" / "stores"
-    with closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor:
-        stores.rename(tmp_path / "away")
-        processes.worker()
-        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
-        (tmp_path / "away").rename(stores)
-        wait_for(lambda: executor.state().workers == 1 and not executor.state().refused, seconds=PATIENCE)
-
-
-def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(tmp_path, monkeypatch):
     """No others will join. Here their cache is open to all users."""
     (tmp_path / "cache").mkdir()
     (tmp_path / "cache").chmod(0o777)
@@ -226,9 +214,7 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
     wait_for(lambda: running() <= before)
 
 
-def test_a_worker_that_a_service_of_another_release_admits_computes_nothing(
-    tmp_path: Path, processes: Processes
-):
+def test_a_worker_that_a_service_of_another_release_admits_computes_nothing(tmp_path, processes: Processes):
     of_another_kernel(processes, tmp_path)
     with closing(Dask(processes.address)) as executor, Client(processes.address) as other:
         wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
