@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import httpx2
 import psutil
@@ -49,13 +50,9 @@ class Processes:
         program = str(Path(sys.executable).with_name(command[0]))
         with (self._folder / f"process-{self._number}.log").open("wb") as log:
             process = subprocess.Popen(
-                [*before, program, *command[1:]],
-                stdout=log,
-                stderr=log,
-                env=os.environ | self._variables | dict(variables or {}),
-                cwd=self._folder,
-                start_new_session=True,
-            )
+                [*before, program, *command[1:]], stdout=log, stderr=log, cwd=self._folder,
+                env=os.environ | self._variables | dict(variables or {}), start_new_session=True,
+            )  # fmt: skip
         self._number += 1
         self.processes.append(process)
         return process
@@ -86,6 +83,16 @@ def family(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:
         return [first, *first.children(recursive=True)]
     except psutil.NoSuchProcess:
         return []
+
+
+def listening(process: psutil.Process) -> list[Any]:
+    """The addresses at which a process and what it has started listen."""
+    found = []
+    for each in (process, *process.children(recursive=True)):
+        with suppress(psutil.NoSuchProcess):
+            sockets = each.net_connections("inet")
+            found += [socket.laddr for socket in sockets if socket.status == psutil.CONN_LISTEN]
+    return found
 
 
 @contextmanager
@@ -160,10 +167,9 @@ class Remote:
     def __init__(self, address: str, token: str = "") -> None:
         self.address, self.token = address, token
 
-    def ask(self, path: str, token: str | None = None) -> httpx2.Response | None:
+    def ask(self, path: str) -> httpx2.Response | None:
         """The service's answer; None while there is none."""
-        token = self.token if token is None else token
-        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
         try:
             return httpx2.get(f"http://{self.address}{path}", headers=headers, timeout=10)
         except httpx2.TransportError:

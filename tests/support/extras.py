@@ -15,6 +15,26 @@ from paths import ROOT
 #: What only extras bring, by the names under which it is imported.
 EXTRAS = ("pyarrow", "obstore", "aiohttp", "IPython")
 
+#: Begins a program that finds none of the packages whose names it reads, as if they were not installed.
+WITHOUT = '''
+import json, sys
+
+class Without:
+    """A finder that does not find what is refused."""
+
+    def __init__(self, finder):
+        self._finder = finder
+
+    def __getattr__(self, name):
+        return getattr(self._finder, name)
+
+    def find_spec(self, name, path=None, target=None):
+        return None if name.partition(".")[0] in refused else self._finder.find_spec(name, path, target)
+
+refused = set(json.loads(sys.stdin.readline()))
+sys.meta_path[:] = map(Without, sys.meta_path)
+'''
+
 
 def needs(extra: str) -> str:
     """Why a test is skipped without an extra."""

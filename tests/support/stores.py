@@ -3,7 +3,9 @@
 from contextlib import suppress
 from pathlib import Path
 
+from service.jobs.prepare import JobPreparer
 from service.jobs.stores.opening import open_ledger
+from service.ledger.ledger import Ledger
 from service.settings import Settings
 from worker import store
 from worker.study import Chunk, Layout
@@ -16,6 +18,18 @@ def is_sound(url: str, layout: Layout, chunk: Chunk) -> bool:
     except store.StoreDamaged:
         return False
     return True
+
+
+def marked_and_sound(settings: Settings, job_id: str) -> int:
+    """How many chunks of a job the ledger marks as done, each of which is stored whole."""
+    with Ledger(settings.ledger_path) as ledger, ledger.reading() as reading:
+        job = reading.find(job_id)
+        if job is None:
+            return 0
+        prepared = JobPreparer(settings).prepare(job)
+        done = list(reading.done_chunks(job, 0, job.chunks_total))
+    assert all(is_sound(prepared.store_url, prepared.layout, prepared.plan[index]) for index in done)
+    return len(done)
 
 
 def store_in(data: Path, job_id: str) -> Path:

@@ -18,7 +18,7 @@ from pathlib import Path
 import httpx2
 import psutil
 import pytest
-from dask_processes import Remote
+from dask_processes import Remote, listening
 from documents import blocks
 from paths import CACHE, ROOT
 from scripted import costing, free_port, wait_for
@@ -96,23 +96,13 @@ def recipe(tmp_path: Path) -> Iterator[Recipe]:
         yield recipe
 
 
-def listening() -> set[str]:
-    """The addresses at which processes that this one has started listen."""
-    addresses = set()
-    for each in psutil.Process().children(recursive=True):
-        with suppress(psutil.NoSuchProcess):
-            sockets = each.net_connections(kind="inet")
-            addresses |= {socket.laddr.ip for socket in sockets if socket.status == psutil.CONN_LISTEN}
-    return addresses
-
-
 def test_an_adaptive_cluster_of_a_gateway_computes_a_sweep(recipe: Recipe):
     most, addresses = 0, set[str]()
 
     def ended() -> bool:
         nonlocal most
         most = max(most, recipe.workers())
-        addresses.update(listening())
+        addresses.update(address.ip for address in listening(psutil.Process()))
         return job.refresh().finished
 
     with recipe.started("bounce"):

@@ -14,6 +14,7 @@ from typing import Any
 
 import psutil
 import pytest
+from dask_processes import listening
 from distributed import LocalCluster
 from paths import CACHE, ROOT, SUPPORT
 from scripted import DEADLINE
@@ -37,16 +38,6 @@ def shared() -> Iterator[Path]:
         folder = Path(name)
         folder.chmod(0o1777)
         yield folder
-
-
-def ports(process: psutil.Process) -> set[int]:
-    """Where the process and its descendants listen."""
-    return {
-        connection.laddr.port
-        for member in (process, *process.children(recursive=True))
-        for connection in member.net_connections("inet")
-        if connection.status == psutil.CONN_LISTEN
-    }
 
 
 def as_other_user(**task: Any) -> dict[str, list[Any]]:
@@ -77,17 +68,15 @@ def test_another_user_runs_no_code_and_reads_no_data(shared: Path):
     ):
         with Client(served.url) as client:
             client.submit(SWEEP).wait(progress=False)
-        listening = ports(psutil.Process(served.process.pid))
+        ports = {address.port for address in listening(psutil.Process(served.process.pid))}
         # The service; a scheduler, a nanny and a worker; two HTTP servers of theirs.
-        assert len(listening) >= 6
+        assert len(ports) >= 6
         control = int(plain.scheduler_address.rpartition(":")[2])
         ours.chmod(0o644)
         files = [str(path) for path in data.rglob("*") if path.is_file()]
         assert any(file.endswith("ledger.sqlite-wal") for file in files)
         assert any(file.endswith("zarr.json") for file in files)
-        seen = as_other_user(
-            ports=sorted({*listening, control}), markers=str(markers), files=[*files, str(ours)]
-        )
+        seen = as_other_user(ports=sorted({*ports, control}), markers=str(markers), files=[*files, str(ours)])
         modes = {path: path.stat().st_mode & 0o077 for path in (data, *data.rglob("*"))}
     service = int(served.url.rpartition(":")[2])
     assert set(seen["ran"]) == {control}

@@ -12,13 +12,10 @@ from contextlib import closing
 from pathlib import Path
 
 import httpx2
-import pytest
 from scripted import DEADLINE, costing, wait_for
 from served import computing_at, done
-from stores import files, is_sound, store_in
+from stores import files, marked_and_sound, store_in
 
-from service.jobs.prepare import JobPreparer
-from service.ledger.ledger import Ledger
 from service.settings import Settings
 
 TRIALS = int(os.environ.get("BOUNCE_TEST_TRIALS", "6"))
@@ -77,9 +74,7 @@ class Disk:
                 yield from self.left(path, at_once)
 
 
-def test_a_service_is_ready_after_a_power_cut_and_has_what_was_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_service_is_ready_after_a_power_cut_and_has_what_was_done(tmp_path, monkeypatch):
     disk = Disk(tmp_path / "disk")
     disk.root.mkdir()
     with monkeypatch.context() as patch:
@@ -95,12 +90,7 @@ def test_a_service_is_ready_after_a_power_cut_and_has_what_was_done(
         for path, content in {Path(): None, **left}.items():
             (folder / path).mkdir() if content is None else (folder / path).write_bytes(content)
         settings = Settings(data=folder / DATA)
-        with Ledger(settings.ledger_path) as ledger, ledger.reading() as reading:
-            if (job := reading.find(job_id)) is not None:
-                prepared = JobPreparer(settings).prepare(job)
-                for index in reading.done_chunks(job, 0, job.chunks_total):
-                    assert is_sound(prepared.store_url, prepared.layout, prepared.plan[index])
-                    marked += 1
+        marked += marked_and_sound(settings, job_id)
         with computing_at(folder / DATA) as address:
             wait_for(lambda at=address: httpx2.get(f"{at}/readyz", timeout=DEADLINE).status_code == 200)
             assert done(address, SWEEP.as_submitted()) == job_id

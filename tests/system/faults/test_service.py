@@ -10,12 +10,10 @@ import random
 import shutil
 import signal
 import socket
-import sqlite3
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -24,26 +22,14 @@ import pytest
 from paths import ROOT
 from scripted import DEADLINE, wait_for
 from served import Serving, serving
-from stores import files, is_sound, store_in
+from service_life import STEPS
+from stores import files, marked_and_sound, store_in
 from studies import spec_of
 
-from worker.sweep import SweepSpec
-from worker.sweep.plan import make_plan
-from worker.sweep.schema import layout
+from service.settings import Settings
 
 RUNS = int(os.environ.get("BOUNCE_TEST_RUNS", "2"))
 
-STEPS = (
-    "store laid out",
-    "chunk given out",
-    "chunk computed",
-    "chunk half written",
-    "chunk synced",
-    "chunk reported",
-    "in the transaction",
-    "chunk marked",
-    "job ends",
-)
 #: Those that come once.
 ONCE = ("store laid out", "job ends")
 #: The step, and how many times it comes before the service is killed.
@@ -60,13 +46,9 @@ class Lives:
         (folder / "spec.json").write_text(json.dumps(SWEEP))
         command = [sys.executable, str(ROOT / "tests" / "support" / "service_life.py")]
         self._process = subprocess.Popen(
-            [*command, str(self.folder), str(folder / "spec.json")],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            cwd=ROOT,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            text=True,
-        )
+            [*command, str(self.folder), str(folder / "spec.json")], cwd=ROOT, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
 
     def live(self, step: str = "-", times: int = 1, seconds: float | None = None) -> dict[str, Any]:
         self._process.stdin.write(json.dumps([step, times, seconds]) + "\n")
@@ -159,9 +141,9 @@ def test_the_real_service_killed_stopped_and_started_again(tmp_path: Path):
         assert job["progress"]["chunks_done"] > done
         service.ask("POST", f"{path}/cancel")
         wait_for(lambda: service.ask("GET", path).json()["state"] in ("cancelled", "done"))
-        check(tmp_path / "data", sweep)
         service.process.send_signal(signal.SIGINT)
         assert service.process.wait(DEADLINE) == 130
+    assert marked_and_sound(Settings(data=tmp_path / "data"), job["id"]) > done
 
 
 def test_the_log_has_one_object_a_line_where_a_worker_raises_too(tmp_path: Path):
@@ -172,14 +154,3 @@ def test_the_log_has_one_object_a_line_where_a_worker_raises_too(tmp_path: Path)
         wait_for(lambda: service.ask("GET", f"{path}/audit").status_code == 503)
     lines = [line for line in service.log.read_text().splitlines() if not line.startswith("bounce listens")]
     assert [line for line in lines if not isinstance(json.loads(line), dict)] == []
-
-
-def check(data: Path, sweep: dict[str, Any]) -> None:
-    """Every chunk that the ledger marks as done is in the store, and whole."""
-    spec = SweepSpec(**sweep)
-    with closing(sqlite3.connect(data / "ledger.sqlite")) as ledger:
-        [[shape]] = ledger.execute("SELECT chunk_shape FROM jobs").fetchall()
-        marked = ledger.execute("SELECT chunk FROM chunks").fetchall()
-    plan = make_plan(spec, chunk_shape=tuple(json.loads(shape)))
-    [url] = [path for path in (data / "stores").iterdir() if path.suffix == ".zarr"]
-    assert all(is_sound(str(url), layout(spec, plan.chunk_shape), plan[chunk]) for [chunk] in marked)

@@ -10,6 +10,7 @@ import tomllib
 from importlib import metadata
 from pathlib import Path
 
+from extras import WITHOUT
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
@@ -22,23 +23,8 @@ LISTED = [
     if not line.startswith("#")
 ]
 
-ASKS = '''
-import json, sys
-
-class Without:
-    """A finder that does not find what is refused."""
-
-    def __init__(self, finder):
-        self._finder = finder
-
-    def __getattr__(self, name):
-        return getattr(self._finder, name)
-
-    def find_spec(self, name, path=None, target=None):
-        return None if name.partition(".")[0] in refused else self._finder.find_spec(name, path, target)
-
-address, folder, refused = sys.argv[1], sys.argv[2], set(json.loads(sys.stdin.readline()))
-sys.meta_path[:] = map(Without, sys.meta_path)
+ASKS = """
+address, folder = sys.argv[1:]
 from click.testing import CliRunner
 from service.cli.main import main
 from bouncing_spring import Client, Ramp, Range, Rigid, SweepSpec
@@ -77,7 +63,7 @@ except ImportError as error:
 else:
     raise AssertionError("run is there")
 print("asked")
-'''
+"""
 
 
 def closure(requirements: list[Requirement]) -> set[str]:
@@ -114,7 +100,7 @@ def test_a_client_asks_with_these_libraries_alone(tmp_path: Path):
     assert {"numba", "distributed", "fastapi", "matplotlib", "pyarrow", "h5py"} <= set(refused)
     with computing_at(tmp_path / "data") as address:
         done = subprocess.run(
-            [sys.executable, "-c", ASKS, address, str(tmp_path)],
+            [sys.executable, "-c", WITHOUT + ASKS, address, str(tmp_path)],
             input=json.dumps(refused), capture_output=True, text=True, check=False, timeout=10 * DEADLINE,
         )  # fmt: skip
     assert (done.stdout, done.returncode) == ("asked\n", 0), done.stderr

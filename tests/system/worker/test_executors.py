@@ -2,9 +2,12 @@
 
 import asyncio
 import os
+import pickle
 import re
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from contextlib import closing
@@ -14,26 +17,32 @@ from types import SimpleNamespace
 import dask
 import psutil
 import pytest
+from dask_processes import listening
 from distributed import LocalCluster, Security
 from harm import Stuck
 from scripted import DEADLINE, wait_for
 
 from worker.executors.base import ClusterLost
-from worker.executors.dask import Dask
+from worker.executors.dask import Dask, _Call
+from worker.sweep.task import run_chunk
 
 #: The longest wait for a result (s): the machine may be compiling kernels at the same time.
 PATIENCE = 180
 
 
 def test_the_cluster_listens_on_loopback_only(cluster):
-    here = psutil.Process()
-    listening = [
-        connection.laddr.ip
-        for process in (here, *here.children(recursive=True))
-        for connection in process.net_connections("inet")
-        if connection.status == psutil.CONN_LISTEN
-    ]
-    assert set(listening) == {"127.0.0.1"}
+    assert {address.ip for address in listening(psutil.Process())} == {"127.0.0.1"}
+
+
+def test_scheduler_and_worker_need_nothing_of_this_project_until_a_task_runs():
+    sent = pickle.dumps((pickle.loads, pickle.dumps(_Call(run_chunk, 3))))
+    code = (
+        "import pickle, sys; function, call = pickle.loads(sys.stdin.buffer.read()); "
+        "print('worker' in sys.modules); sys.modules['worker'] = None; function(call)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], input=sent, capture_output=True, check=False)
+    assert done.stdout == b"False\n"
+    assert b"ModuleNotFoundError" in done.stderr
 
 
 def test_an_address_without_a_scheduler_is_an_error_and_leaves_no_thread_and_no_file():
