@@ -8,7 +8,6 @@ import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from extras import LINT, program
@@ -16,19 +15,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from paths import ROOT
 
-if TYPE_CHECKING:
-    import grimp
-
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TOP_LEVEL = ("kernel", "worker", "service")
 OURS = (*TOP_LEVEL, "bouncing_spring", "tests", "benchmarks", ".ci")
-
-
-@pytest.fixture(scope="module")
-def imports() -> "grimp.ImportGraph":
-    """Which module imports which."""
-    builder = pytest.importorskip("grimp", reason=LINT)
-    return builder.build_graph(*TOP_LEVEL, include_external_packages=True, cache_dir=None)
 
 
 def project_files() -> list[Path]:

@@ -8,6 +8,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
 from extras import LINT, locked, program
 from packaging.requirements import Requirement
 from paths import ROOT
@@ -20,8 +21,17 @@ def tool(name: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
 
 
-def test_compose_file_is_valid():
-    done = tool("check-jsonschema", "--builtin-schema", "vendor.compose-spec", "docker-compose.yml")
+SCHEMAS = {
+    "compose-spec": "docker-compose.yml",
+    "github-workflows": ".github/workflows/*.yml",
+    "citation-file-format": "CITATION.cff",
+}
+
+
+@pytest.mark.parametrize(("schema", "files"), SCHEMAS.items())
+def test_files_are_what_their_schema_says(schema: str, files: str):
+    found = [str(path) for path in ROOT.glob(files)]
+    done = tool("check-jsonschema", "--builtin-schema", f"vendor.{schema}", *found)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -60,12 +70,6 @@ def test_a_release_writes_its_version_everywhere_and_is_tagged(tmp_path: Path):
         assert (tmp_path / name).read_text().count("99.0.0") == 1
     assert re.match(r"## \[Unreleased\]\n\n## \[99.0.0\] - .*\n\nTag `v99.0.0`", changelog.read_text())
     assert "no change under Unreleased" in run(".ci/release", "99.1.0", "--checked")
-
-
-def test_workflows_are_valid():
-    files = sorted(str(path) for path in (ROOT / ".github/workflows").glob("*.yml"))
-    done = tool("check-jsonschema", "--builtin-schema", "vendor.github-workflows", *files)
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_dockerfile_passes_hadolint():

@@ -31,18 +31,15 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
     table = "\n".join(["# of a run", names, *rows, f"2.5,0.6,30,{hertz},"])
     with opened(browser, f"{address}/#/job/{job}/diagram?omega=0.6&show=down") as page:
         wait_shown(page, omega=0.6)
-        page.evaluate(DROP, ["run.csv", "gamma,speed\n1,2"])
-        page.locator(
-            ".problem", has_text="run.csv: speed is no column here; these are gamma, omega"
-        ).wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,flight_time\r1,4\r1,0x4"])
-        page.locator(".problem", has_text="row 2 must be a number of 0 or more, not '0x4'").wait_for()
-        page.evaluate(DROP, ["run.csv", "\0".join("gamma,flight_time\n1,4\n")])
-        page.locator(".problem", has_text="run.csv: is no text in UTF-8.").wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,flight_time\n1,4\n1,5,4,2"])
-        page.locator(".problem", has_text="run.csv: row 2 has more cells than there are columns").wait_for()
-        page.evaluate(DROP, ["run.csv", "gamma,flight_time,frequency\n1,4,0"])
-        page.locator(".problem", has_text="frequency of row 1 must be a number above 0").wait_for()
+        for text, problem in (
+            ("gamma,speed\n1,2", "run.csv: speed is no column here; these are gamma, omega"),
+            ("gamma,flight_time\r1,4\r1,0x4", "row 2 must be a number of 0 or more, not '0x4'"),
+            ("\0".join("gamma,flight_time\n1,4\n"), "run.csv: is no text in UTF-8."),
+            ("gamma,flight_time\n1,4\n1,5,4,2", "run.csv: row 2 has more cells than there are columns"),
+            ("gamma,flight_time,frequency\n1,4,0", "frequency of row 1 must be a number above 0"),
+        ):
+            page.evaluate(DROP, ["run.csv", text])
+            page.locator(".problem", has_text=problem).wait_for()
         page.evaluate(
             DROP, ["run.csv", 'gamma,"omega\n",flight_time,\n1,0.6,"\n4",\n1,0.9,4\n1,n/a,4 # 5" of']
         )

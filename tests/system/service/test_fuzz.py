@@ -47,6 +47,13 @@ DONE = spec_of((0.6, 1.4, 9), [0.5, 0.6], 0.26, ramp="both", window=(5, 5, 4))
 CHECKS = [not_a_server_error, status_code_conformance, content_type_conformance, response_schema_conformance]
 
 
+def examples(count: int, **options: Any) -> settings:
+    return settings(
+        max_examples=count, deadline=None, database=None, suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate,), **options,
+    )  # fmt: skip
+
+
 #: Sequences per seed: responses depend on earlier requests, and hypothesis gives up if the same draws lead to
 #: different ones.
 AT_A_TIME = 4
@@ -107,13 +114,7 @@ def requests_of(api: Api) -> st.SearchStrategy[Any]:
 def test_single_requests_are_answered_as_documented(api: Api):
     session = requests.Session()
 
-    @settings(
-        max_examples=CASES,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-        phases=(Phase.generate,),
-    )
+    @examples(CASES)
     @given(requests_of(api))
     def check(case: Any) -> None:
         response = case.call(session=session, timeout=DEADLINE)
@@ -132,14 +133,7 @@ def test_sequences_of_requests_are_answered_as_documented(api: Api):
         case.validate_response(response, checks=CHECKS)
     )
     machine.get_call_kwargs = lambda self, case: {"timeout": TIMEOUT}
-    machine.TestCase.settings = settings(
-        max_examples=AT_A_TIME,
-        stateful_step_count=12,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-        phases=(Phase.generate,),
-    )
+    machine.TestCase.settings = examples(AT_A_TIME, stateful_step_count=12)
     for number in range(max(CASES // 60 // AT_A_TIME, 1)):
         seed(number)(machine)
         with contextlib.suppress(FlakyStrategyDefinition):

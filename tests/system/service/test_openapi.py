@@ -1,11 +1,9 @@
 """Clients generated from the API document."""
 
 import importlib
-import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from extras import SYSTEM
@@ -13,16 +11,11 @@ from scripted import DEADLINE, wait_for
 from served import computing, computing_at
 
 
-@pytest.fixture(scope="module")
-def document(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    with computing(tmp_path_factory.mktemp("data")) as client:
-        return client.get("/openapi.json").json()
-
-
-def test_a_generated_client_submits_a_sweep(tmp_path: Path, document: Any, monkeypatch: pytest.MonkeyPatch):
+def test_a_generated_client_submits_a_sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("openapi_python_client", reason=SYSTEM)
     source, package = tmp_path / "openapi.json", tmp_path / "generated"
-    source.write_text(json.dumps(document))
+    with computing(tmp_path / "data") as client:
+        source.write_bytes(client.get("/openapi.json").content)
     (tmp_path / "options.yml").write_text("post_hooks: []\n")
     command = [sys.executable, "-m", "openapi_python_client", "generate", "--fail-on-warning"]
     options = ["--path", source, "--meta", "none", "--output-path", package]
