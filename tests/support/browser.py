@@ -53,22 +53,6 @@ DROP = """([name, text]) => {
         new DragEvent("drop", { dataTransfer: files, cancelable: true, bubbles: true }));
 }"""
 
-#: Moves the first slider to each index and returns the times until the plot was redrawn, ms.
-_MOVE_SLIDER = """async indices => {
-    const slider = document.querySelector("main .slider:not([hidden]) input[type=range]");
-    const plot = document.querySelector(".panel .plot");
-    const times = [];
-    for (const index of indices) {
-        const before = plot.dataset.shown, start = performance.now();
-        slider.value = index;
-        slider.dispatchEvent(new Event("input", { bubbles: true }));
-        while (plot.dataset.shown === before) await new Promise((next) => setTimeout(next));
-        await new Promise((next) => requestAnimationFrame(next));
-        times.push(performance.now() - start);
-    }
-    return times;
-}"""
-
 #: Reads a copy, because Chromium warns of reading the page's own canvas twice.
 _PIXELS = """window.pixels = (canvas) => {
     const copy = new OffscreenCanvas(canvas.width, canvas.height)
@@ -169,11 +153,6 @@ def table_of(page: Any) -> list[dict[str, str]]:
     """The rows of an opened table, as its CSV has them."""
     with download(page.get_by_role("button", name="Download table as CSV")).open(newline="") as file:
         return list(csv.DictReader(file))
-
-
-def redraws(page: Any, indices: list[int]) -> list[float]:
-    """Move the first slider of a view to each index; the times until the plot was redrawn, ms."""
-    return [float(time) for time in page.evaluate(_MOVE_SLIDER, indices)]
 
 
 def watch_tasks(page: Any) -> None:
