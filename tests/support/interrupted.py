@@ -10,13 +10,13 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-#: Not from `paths`: benchmarks import this module without the tests' import path.
-ROOT = Path(__file__).parents[2]
+from paths import ROOT
+from scripted import wait_for
+
 #: Seconds until remaining processes are killed, on an overloaded machine.
 LIMIT = 240.0
 CTRL_C = b"\x03"
@@ -35,10 +35,9 @@ class Ended(NamedTuple):
 
     @property
     def faults(self) -> list[str]:
-        """The faults: code, time, lines of the output, leftovers."""
+        """The faults: code, lines of the output, leftovers."""
         # Before Python has started, the signal itself ends it; a shell says 128 + the signal of that, too.
         faults = [f"exit code {self.code}"] if self.code not in (128 + self.number, -self.number) else []
-        faults += [f"{self.seconds:.1f} s"] if self.seconds > 2.0 else []
         faults += sorted({line.strip()[:160] for line in self.output.splitlines() if NOISE.search(line)})
         return faults + [f"left: {name}" for name in self.left]
 
@@ -46,9 +45,7 @@ class Ended(NamedTuple):
 class Command:
     """`bounce WORDS` in `folder`, with a terminal, temporary files in `folder`/tmp and kernels in `cache`."""
 
-    def __init__(
-        self, words: Sequence[str], folder: Path, cache: Path, environment: Mapping[str, str] | None = None
-    ) -> None:
+    def __init__(self, words: Sequence[str], folder: Path, cache: Path) -> None:
         self._folder, self._temporary = folder, folder / "tmp"
         self._temporary.mkdir(parents=True, exist_ok=True)
         self._ours, theirs = pty.openpty()
@@ -59,7 +56,7 @@ class Command:
             stdout=theirs,
             stderr=theirs,
             cwd=folder,
-            env=os.environ | variables | (environment or {}),
+            env=os.environ | variables,
             start_new_session=True,
             preexec_fn=_on_its_terminal,  # noqa: PLW1509
         )
@@ -73,18 +70,14 @@ class Command:
         """The output so far."""
         return self._output.decode(errors="replace")
 
-    def wait_for(self, condition: Callable[["Command"], bool], seconds: float = 240.0) -> None:
+    def wait_for(self, condition: Callable[["Command"], bool]) -> None:
         """Wait until the condition holds. Raises AssertionError if the command ends before."""
-        deadline = time.monotonic() + seconds
-        while not condition(self):
-            assert self._process.poll() is None, self.output
-            assert time.monotonic() < deadline, self.output
-            time.sleep(0.02)
 
-    def sleep(self, seconds: float) -> None:
-        """Let it run for this long, or until it ends."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(seconds)
+        def holds() -> bool:
+            assert self._process.poll() is None, self.output
+            return condition(self)
+
+        wait_for(holds, lambda: self.output)
 
     def processes(self) -> list[int]:
         """The processes of the command's session that have not ended, itself among them."""
@@ -98,11 +91,8 @@ class Command:
                 found.append(int(folder.name))
         return found
 
-    def interrupt(self, number: int = signal.SIGINT) -> Ended | None:
-        """Press Ctrl-C, or send another signal, and wait for the end; None if it had ended already."""
-        if self._process.poll() is not None:
-            self._close()
-            return None
+    def interrupt(self, number: int) -> Ended:
+        """Press Ctrl-C, or send another signal, and wait for the end."""
         if number == signal.SIGINT:
             os.write(self._ours, CTRL_C)
         else:

@@ -68,9 +68,7 @@ def test_a_signal_ends_everything(
     command = Command(words, tmp_path, CACHE if is_compiled else tmp_path / "cache")
     command.wait_for(reached)
     ended = command.interrupt(number)
-    assert ended is not None
-    # On an overloaded machine it takes longer than its faults allow.
-    assert [fault for fault in ended.faults if not fault.endswith(" s")] == [], ended.output
+    assert ended.faults == [], ended.output
     assert ended.seconds < 10.0 * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
 
 
