@@ -77,11 +77,15 @@ export function drawFrame(ctx, box, { x, y }) {
   ctx.lineWidth = 1;
   ctx.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
   drawTicks(ctx, box, y.periods);
-  const title = { align: "center", size: FONT_SIZE + 3, italic: true };
-  ctx.font = `italic ${title.size}px ${theme.serif}`;
-  const fitting = (label, space) => (ctx.measureText(label).width < space ? label : label.replace(/.* (?=[ΓΩξφ])/, "")); // or its symbol alone
-  if (x.label) texts.push({ ...title, text: fitting(x.label, width + 44), x: left + width / 2, y: top + height + 36 });
-  if (y.label && !y.isTitled) texts.push({ ...title, text: fitting(y.label, height + 24), x: box.narrow ? 9 : 12, y: top + height / 2, turned: true });
+  const size = FONT_SIZE + 3;
+  ctx.font = `italic ${size}px ${theme.serif}`;
+  const widthOf = (text) => ctx.measureText(text).width;
+  const fitting = (label, space) => { // or its symbol alone, or smaller
+    const text = widthOf(label) < space ? label : label.replace(/.* (?=[ΓΩξφ])/, "");
+    return { align: "center", italic: true, text, size: Math.min(size, (size * space) / widthOf(text)) };
+  };
+  if (x.label) texts.push({ ...fitting(x.label, width + 44), x: left + width / 2, y: top + height + 36 });
+  if (y.label && !y.isTitled) texts.push({ ...fitting(y.label, height + 24), x: box.narrow ? 9 : 12, y: top + height / 2, turned: true });
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures; on the right there may be labels of plate periods instead. */
