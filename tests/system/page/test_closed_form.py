@@ -150,6 +150,12 @@ def test_a_branch_is_read_between_its_points(browser: Any, address: str):
         assert sum("(1, 2)" in text for text in texts) > 0.6 * len(texts), (
             texts
         )  # names of events are beside it
+        page.locator(".panel .plot").press("Home")
+        read = [page.locator(".panel .readout").inner_text()]
+        for _ in range(4):
+            page.locator(".panel .plot").press("ArrowRight")
+            read.append(page.locator(".panel .readout").inner_text())
+        assert len(set(read)) == len(read)  # each press goes to another cycle
 
 
 def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str):

@@ -196,7 +196,9 @@ export function nearestCycle({ branches, events, along }, box, x, y, pixelOf = o
 /** The cycles nearest to a Γ, one for each time that a branch passes it, those of the shortest flight first. */
 export function cyclesAt({ branches }, gamma) {
   const isPassed = (cycle, i, branch) => i && !cycle.violations && (cycle.gamma - gamma) * (branch[i - 1].gamma - gamma) <= 0;
-  return branches.flatMap((branch) => branch.filter(isPassed)).sort((a, b) => a.flight_time - b.flight_time);
+  const nearer = (cycle, before) => (!before.violations && Math.abs(before.gamma - gamma) < Math.abs(cycle.gamma - gamma) ? before : cycle);
+  const passed = branches.flatMap((branch) => branch.flatMap((cycle, i) => (isPassed(cycle, i, branch) ? nearer(cycle, branch[i - 1]) : [])));
+  return [...new Set(passed)].sort((a, b) => a.flight_time - b.flight_time);
 }
 
 export const drawCycle = (ctx, box, cycle, along = "gamma") => circle(ctx, box.theme.cursor, 1.8, ...overAxis(along)(box)(cycle), 5.5);

@@ -72,14 +72,19 @@ export class Cycles extends PlotView {
     return [...this.#columns(), ["stability", ({ stable }) => (stable ? "stable" : "unstable")]];
   }
 
-  /** Up and down go through the cycles at this Γ; to the sides, the nearest cycle follows. */
+  /** Up and down go through the cycles at this Γ; to the sides, the nearest other cycle follows. */
   step(current, right, up) {
     const from = current?.sought ?? current?.gamma ?? this.place.gamma ?? this.maxGamma / 2;
-    const gamma = clamp(from + STEP * right, STEP, this.maxGamma);
-    const cycles = cyclesAt(this.branches, gamma);
-    const distances = cycles.map(({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0)));
-    const next = distances.indexOf(Math.min(...distances)) + (current?.periods ? Math.sign(up) : 0);
-    return { gamma, ...cycles[clamp(next, 0, cycles.length - 1)], sought: gamma };
+    const cycleAt = (gamma) => {
+      const cycles = cyclesAt(this.branches, gamma);
+      const distances = cycles.map(({ flight_time: time }) => Math.abs(time - (current?.flight_time ?? 0)));
+      const next = distances.indexOf(Math.min(...distances)) + (current?.periods ? Math.sign(up) : 0);
+      return { gamma, ...cycles[clamp(next, 0, cycles.length - 1)], sought: gamma };
+    };
+    const next = clamp(from + STEP * right, STEP, this.maxGamma);
+    const points = this.branches.branches.flat().filter(({ gamma, violations }) => !violations && (gamma - next) * right > 0).map(({ gamma }) => gamma).sort((a, b) => (a - b) * right);
+    const isOther = ({ periods, gamma, flight_time: time }) => periods && (gamma !== current?.gamma || time !== current.flight_time);
+    return cycleAt([next, ...points].find((gamma) => isOther(cycleAt(gamma))) ?? next);
   }
 
   at = ({ gamma, flight_time: time }) => [gamma, time];
