@@ -217,12 +217,12 @@ def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.
 
 
 def _new_axes() -> pictures.Axes:
-    """The current axes of pyplot if it is in use, or in a notebook; those of a new figure otherwise."""
+    """The axes of a new figure, or current ones of pyplot, if in use or in a notebook, that are empty."""
     if not sys.modules.keys().isdisjoint(("matplotlib.pyplot", "ipykernel")):
         from matplotlib import pyplot  # shows them below the cell
 
         axes: pictures.Axes = pyplot.gca()
-        return axes
+        return pyplot.figure().gca() if axes.has_data() else axes
     from matplotlib.figure import Figure
 
     return Figure(layout="constrained").subplots()

@@ -263,7 +263,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
             the map of a sweep if Γ and Ω both have several values, else or with `data` or a value of
             one of them the diagram.
         ax
-            By default the current axes of pyplot, if in use or in a notebook; else those of a new figure.
+            By default those of a new figure, or the current ones of pyplot while they are empty.
         branches
             From `Client.orbits`, drawn over a diagram: solid where stable. True: as `diagram` has them.
         data

@@ -57,8 +57,10 @@ def test_a_notebook_shows_a_plot(sweep: xarray.Dataset, monkeypatch: pytest.Monk
     sweep.bounce.plot(omega=0.6)
     assert not pyplot.get_fignums()
     monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
-    assert sweep.bounce.plot(omega=0.6) is pyplot.gca()
-    pyplot.close()
+    drawn = [sweep.bounce.plot(omega=omega) for omega in (0.6, 0.7)]
+    assert [axes.figure for axes in drawn] == [pyplot.figure(number) for number in pyplot.get_fignums()]
+    assert sweep.bounce.plot(omega=0.6, ax=drawn[0]) is drawn[0]
+    pyplot.close("all")
 
 
 def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
