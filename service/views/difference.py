@@ -206,7 +206,7 @@ def _sentence(
         threshold = "no frequency is in both"
     elif not shared.all():
         threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
-    cells = "the cells" if both.all() else f"the {both.sum():,} of {both.size:,} cells of both"
+    cells = "the cells" if both.all() else f"the cells that both have ({both.sum():,} of {both.size:,})"
     share = 100.0 * same[both].mean()
     share = share if same[both].all() else min(share, _LESS_THAN_ALL)
     return f"{share:.4g} % of {cells} have the same mode; {threshold}."

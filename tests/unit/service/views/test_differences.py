@@ -46,7 +46,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
         np.testing.assert_array_equal(found[f"other_{name}"], near[name])
     moved = abs(ends[0][1] - ends[1][0])
     np.testing.assert_allclose(found.up_moved, [np.nan, moved, np.nan, np.nan])
-    cells = "the cells" if known.all() else f"the {known.sum()} of {known.size} cells of both"
+    cells = "the cells" if known.all() else f"the cells that both have ({known.sum()} of {known.size})"
     share = f"At ξ = 0.26, {100 * equal[known].mean():.4g} % of {cells} have the same mode"
     most = f"no threshold in both moves by more than {moved:.2g} at the 1 of 4 frequencies that both have"
     assert found.attrs["sentence"] == f"{share}; {most}."
