@@ -144,11 +144,11 @@ def within(
         enough = 2.0 * max(whole_budget, took, LEAST, runner.seconds(part))
         raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
     left = budget - (clock() - began)
-    ending = f"no audit: less than {LEAST_AUDIT:g} s is left"
+    ending = f"no audit within the time: less than {LEAST_AUDIT:g} s was left"
     if left >= LEAST_AUDIT:
         show(f"audit of the last level{changed and ', which'}{changed}", left)
         answer.audit = runner.audit(answer.levels[-1].spec, left)
-        ending = answer.audit or "no audit: it would take longer than is left"
+        ending = answer.audit or "no audit within the time: it would have taken longer"
     show(ending, 0.0)
     return answer
 

@@ -86,7 +86,7 @@ function level(job) {
   const text = (error ?? doing).replace(/gamma|omega|xi/g, (axis) => SYMBOL[axis]);
   if (!over) return [computing && computing !== id ? h("a", { href: link(["job", computing]) }, text) : text, `, ${duration(left)} left`];
   if (answer && answer !== id) return [h("a", { href: link(["job", answer]) }, "Show the finest level of its time")];
-  return isAudited(job) ? [h("a", { href: link(["job", id, "details"]) }, "How wrong it can be")] : [text];
+  return answer ? [h("a", { href: link(["job", id, "details"]) }, isAudited(job) ? "How wrong it can be" : `${text}; audit it now`)] : [text];
 }
 
 /** Whether a sweep is the answer of a budget that has audited it. */
