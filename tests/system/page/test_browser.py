@@ -144,7 +144,7 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         assert page.get_by_role("alert").inner_text() == page.locator(".error").inner_text()
         assert "must not be above stop: swap the two" in page.locator(".error").inner_text()
         assert page.get_by_role("button", name="Compute").is_disabled()
-        assert "see the marked fields" in page.locator(".cost").inner_text()
+        assert "see the messages above" in page.locator(".cost").inner_text()
         page.get_by_label("restitution").fill("two")
         page.locator("[data-field='model.restitution'][aria-invalid=true]").wait_for()
         assert page.locator(".error").last.inner_text() == "must be a number, not text 'two'"
@@ -195,13 +195,20 @@ def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, ad
 
 def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: str, loop: str):
     """The kernel is that of `loop`: with its compilation, a slow machine had no time for a second level."""
-    with opened(browser, f"{address}/#/new") as page:
+    with opened(browser, f"{address}/#/new", expected=("422", "429")) as page:
         page.get_by_label("contact model").select_option("rigid")
         page.get_by_label("given as").nth(1).select_option("a range")
         fields = {"gamma.num": 300, "omega.start": 0.3, "omega.stop": 1.5, "omega.num": 100}
         for name, value in fields.items():
             page.locator(f"[data-field='{name}']").fill(str(value))
+        full = {"status": 429, "json": {"detail": "the queue is full"}}
+        page.route(re.compile(r"/v1/jobs\?$"), lambda route: route.fulfill(**full))
+        page.get_by_role("button", name="Compute", exact=True).click()
+        page.locator(".problem", has_text="the queue is full").wait_for()
         page.get_by_text("Plan for a given time").click()
+        page.get_by_label("Time", exact=True).fill("0.000001s")
+        page.get_by_role("button", name="Compute within this time").click()
+        page.locator("details .problem", has_text="budget: was over before the first level").wait_for()
         page.get_by_label("Time", exact=True).fill("60s")
         with page.expect_response(lambda answer: "budget=" in answer.url) as posted:
             page.get_by_role("button", name="Compute within this time").click()

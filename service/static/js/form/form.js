@@ -194,7 +194,7 @@ export class SweepForm {
 
   #showError(error) {
     if (error.name === "AbortError") return;
-    const invalid = error.errors?.length ? "The specification is not valid: see the marked fields." : "";
+    const invalid = error.errors?.length ? "The specification is not valid: see the messages above." : "";
     if (this.form) this.cost.textContent = error.name === "Unreachable" ? "The cost is estimated once the service answers again." : invalid;
     if (isHandledElsewhere(error)) return;
     showProblems(this.form ?? this.container, this.problem, error);
@@ -210,6 +210,7 @@ export class SweepForm {
       history.replaceState(this.#read(), "", link(["new"], { from: job.id })); // of a budget, the job is a coarse level
       navigate(["job", job.id]);
     } catch (error) {
+      if (error.errors?.length && error.errors.every(({ field }) => field in parameters)) throw error; // told beside the time
       this.#showError(error);
       this.form.querySelector("[aria-invalid=true]")?.focus();
     } finally {
