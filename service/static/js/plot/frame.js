@@ -16,7 +16,7 @@ const NARROW = 520; // px: below this width, margins and ticks are smaller
 export function boxOf(ctx, content, width, height, theme, ratio) {
   const narrow = width < NARROW;
   const headings = headingsOf(ctx, content, width, theme);
-  const [top, bottom] = [12 + HEADING_HEIGHT * ((headings.at(-1)?.line ?? -1) + 1) + (content.above?.height ?? 0), 46];
+  const [top, bottom] = [12 + HEADING_HEIGHT * ((headings.at(-1)?.line ?? -1) + 1) + (content.above?.height ?? 0), content.x.label ? 46 : 26];
   const [left, right] = content.margins ?? [leftMargin(ctx, content.y, height - top - bottom, theme, narrow), content.y.periods ? 34 : 22];
   return {
     left, top, width: width - left - right, height: height - top - bottom, theme, narrow, headings, ratio, texts: [],
