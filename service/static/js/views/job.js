@@ -151,7 +151,7 @@ export class JobView {
     const { gamma, omega } = sourceOf(this.job).grid;
     const all = isSweep(spec) ? TABS : (STUDY_TABS[spec.protocol.kind] ?? { details: TABS.details });
     const isPlane = gamma?.length > 1 && omega?.length > 1;
-    const isLeftOut = { modes: !isPlane, map: !isPlane, thresholds: (spec.protocol.axis ?? "gamma") !== "gamma" };
+    const isLeftOut = { modes: !isPlane, map: !isPlane, thresholds: gamma?.length < 2 || (spec.protocol.axis ?? "gamma") !== "gamma" };
     const first = isSweep(spec) && isPlane && Math.min(gamma.length, omega.length) >= MAPPED_FROM ? { modes: TABS.modes } : {};
     return { __proto__: null, ...Object.fromEntries(Object.entries({ ...first, ...all }).filter(([tab]) => !isLeftOut[tab])) };
   }
