@@ -124,8 +124,8 @@ export function hatchAt(x, y, rises = true) {
   return line < 2 ? line : -1;
 }
 
-export function hatchSymbol(ctx, x, y, theme) {
-  for (const left of [x, x + 8, x + 16]) polyline(ctx, theme.text, 1.6, [[left, y + 6], [left + 8, y - 6]]);
+export function hatchSymbol(ctx, x, y, theme, rises = true) {
+  for (const left of [x, x + 8, x + 16]) polyline(ctx, theme.text, 1.6, [[left, y + (rises ? 6 : -6)], [left + 8, y - (rises ? 6 : -6)]]);
 }
 
 /** A legend of classes of cells (see modeClasses), as buttons that hide a class; the address holds those hidden. */

@@ -106,7 +106,8 @@ export class Modes extends PlaneView {
       title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
       legend: [
         ...(this.isPreview ? [["not computed yet: the colour of the nearest cell"]] : []),
-        ...(this.cells.hysteresis?.some(Boolean) ? [["up and down differ", hatchSymbol]] : []),
+        ...[["mode", "up and down differ"], ["flights", "up and down differ in flights alone"]].filter(([kind]) => this.cells.hysteresis?.includes(HYSTERESIS[kind]))
+          .map(([kind, name]) => [name, (...at) => hatchSymbol(...at, kind === "mode")]),
         ...(hasSpring(this.job) ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,

@@ -73,7 +73,7 @@ export class AttractorDiagram extends AttractorView {
     const events = () => [[...eventColumns(this.grid.gamma), ...this.common(this.spring)], partsOf(this.plane, "event")];
     super(root, view, {
       events: ["Births, ends, changes of mode", events], axes: ["omega", "xi"], label: "Diagram of all attractors",
-      hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Lines mark births and deaths.",
+      hint: "Point at a flight to read its attractor, press to see it move, drag or turn the wheel to zoom. Dashed lines mark births, dotted ones deaths.",
     });
   }
 
