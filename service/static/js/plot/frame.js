@@ -8,7 +8,7 @@ import { scale, ticks } from "./scale.js";
 const FONT_SIZE = 13;
 const LEGEND_SPACE = 50; // px, of an entry's symbol and the spaces around it
 const HEADING_HEIGHT = 22; // px, of a line of the title or the legend
-const HEADING_MARGIN = 92; // px, left and right of them
+const HEADING_MARGIN = 72; // px, left and right of them, without the space after the last one
 const LABEL_SPACE = 14; // px, between two texts of ticks
 const NARROW = 520; // px: below this width, margins and ticks are smaller
 
@@ -77,13 +77,9 @@ export function drawFrame(ctx, box, { x, y }) {
   ctx.lineWidth = 1;
   ctx.strokeRect(left + 0.5, top + 0.5, width - 1, height - 1);
   drawTicks(ctx, box, y.periods);
-  const size = FONT_SIZE + 3;
-  ctx.font = `italic ${size}px ${theme.serif}`;
-  const widthOf = (text) => ctx.measureText(text).width;
-  const fitting = (label, space) => { // or its symbol alone, or smaller
-    const text = widthOf(label) < space ? label : label.replace(/.* (?=[ΓΩξφ])/, "");
-    return { align: "center", italic: true, text, size: Math.min(size, (size * space) / widthOf(text)) };
-  };
+  const title = { align: "center", size: FONT_SIZE + 3, italic: true };
+  ctx.font = `italic ${title.size}px ${theme.serif}`;
+  const fitting = (label, room) => ({ ...title, room, text: ctx.measureText(label).width < room ? label : label.replace(/.* (?=[ΓΩξφ])/, "") }); // or its symbol alone
   if (x.label) texts.push({ ...fitting(x.label, width + 44), x: left + width / 2, y: top + height + 36 });
   if (y.label && !y.isTitled) texts.push({ ...fitting(y.label, height + 24), x: box.narrow ? 9 : 12, y: top + height / 2, turned: true });
 }
@@ -103,23 +99,23 @@ function drawTicks(ctx, { x, y, left, top, width, height, narrow, theme, texts }
   }
 }
 
-export function drawHeadings(ctx, { left, headings, theme, texts }) {
+export function drawHeadings(ctx, { left, width, headings, theme, texts }) {
   for (const { name, drawSymbol, x, line } of headings) {
-    const y = 18 + HEADING_HEIGHT * line;
+    const [start, y] = [left + x + (drawSymbol ? 30 : 0), 18 + HEADING_HEIGHT * line];
     drawSymbol?.(ctx, left + x, y, theme);
-    texts.push({ text: name, x: left + x + (drawSymbol ? 30 : 0), y, size: FONT_SIZE + 1 });
+    texts.push({ text: name, x: start, y, size: FONT_SIZE + 1, room: left + width + 16 - start });
   }
 }
 
-/** The texts of a box; `align` is what of a text is at its x, its middle is at y. */
+/** The texts of a box; `align` is what of a text is at its x, its middle is at y; one longer than its `room`, in px, is drawn narrower. */
 export function drawTexts(ctx, { texts, theme }) {
   ctx.textBaseline = "middle";
-  for (const { text, x, y, align = "left", size = FONT_SIZE, italic = false, turned = false, colour = theme.text } of texts) {
+  for (const { text, x, y, align = "left", size = FONT_SIZE, italic = false, turned = false, colour = theme.text, room } of texts) {
     ctx.save();
     ctx.translate(x, y);
     if (turned) ctx.rotate(-Math.PI / 2);
     Object.assign(ctx, { font: `${italic ? "italic " : ""}${size}px ${theme.serif}`, textAlign: align, fillStyle: colour });
-    ctx.fillText(text, 0, 0);
+    ctx.fillText(text, 0, 0, room);
     ctx.restore();
   }
 }
