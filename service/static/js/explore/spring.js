@@ -120,9 +120,7 @@ export class Explore extends Cycles {
   }
 
   content() {
-    const content = super.content();
-    const { gamma } = this.place;
-    const { trajectory } = this.motion;
+    const [content, { gamma }, { trajectory }] = [super.content(), this.place, this.motion];
     const flights = (ctx, box) => {
       verticalLine(ctx, box, box.x.pixel(gamma), box.theme.cursor);
       for (const time of trajectory && isClose(trajectory.gamma, gamma) ? new Set(trajectory.flights) : []) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);

@@ -46,8 +46,7 @@ export class Plan {
 
   async #compare() {
     this.clear();
-    this.comparing = new AbortController();
-    const { signal } = this.comparing;
+    const { signal } = this.comparing = new AbortController();
     const plan = await requestDataset(`/v1/plans?${query({ budget: seconds(this.budget.value) })}`, { method: "POST", body: this.read(), signal, waits: true });
     const rows = partsOf(plan, "setting");
     const { note } = plan.attrs;

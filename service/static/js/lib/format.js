@@ -55,9 +55,9 @@ export function costText(cost) {
   const where = cost.workers ? plural(cost.workers, "worker") : "one core";
   const first = cost.basis === "measured" ? "" : ", once its kernel is compiled";
   const [least, most] = cost.computed_cells ?? []; // of an adaptive map
-  const computed = most === undefined ? "" : `, about ${[...new Set([least, most].map(count))].join(" to ")} of them computed,`;
+  const range = (texts) => [...new Set(texts)].join(" to ");
+  const computed = most === undefined ? "" : `, about ${range([least, most].map(count))} of them computed,`;
   const times = [most === undefined ? cost.core_seconds : cost.least_core_seconds, cost.core_seconds].map(elapsed);
-  const time = [...new Set(times)].join(" to ");
   const cells = `${plural(cost.cells, "cell")}${computed} in ${plural(cost.chunks, "chunk")}`;
-  return `${cells} · about ${time} on ${where}${first} · up to ${bytes(cost.bytes)}`;
+  return `${cells} · about ${range(times)} on ${where}${first} · up to ${bytes(cost.bytes)}`;
 }

@@ -58,8 +58,7 @@ export class TrajectoryPanel {
     if (this.shown === key || this.signal.aborted) return;
     this.shown = key;
     this.request?.abort();
-    this.request = new AbortController();
-    const { signal } = this.request;
+    const { signal } = this.request = new AbortController();
     this.root.hidden = false;
     const start = startOf(cell.direction);
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));

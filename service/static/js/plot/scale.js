@@ -30,13 +30,10 @@ export function ticks(low, high, n, log = false, tries = 3, most = 1.5 * n) {
 
 /** Powers of ten; where there are less than three, twice and five times them too. */
 function decades(low, high) {
-  const candidates = [];
-  for (let e = Math.floor(Math.log10(low)); 10 ** e <= high * (1 + 1e-9); e++) {
-    for (const factor of [1, 2, 5]) candidates.push({ value: Number(`${factor}e${e}`), isPower: factor === 1 });
-  }
-  const values = candidates.filter(({ value }) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
-  const powers = values.filter(({ isPower }) => isPower);
-  return (powers.length < 3 ? values : powers).map(({ value }) => ({ value, text: number(value) }));
+  const [first, last] = [low * (1 - 1e-9), high * (1 + 1e-9)].map((end) => Math.floor(Math.log10(end)));
+  const powers = Array.from({ length: last - first + 1 }, (_, i) => first + i);
+  const multiples = (...factors) => powers.flatMap((power) => factors.map((factor) => Number(`${factor}e${power}`))).filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  return (multiples(1).length < 3 ? multiples(1, 2, 5) : multiples(1)).map((value) => ({ value, text: number(value) }));
 }
 
 /** [low, high], widened where they are equal: a scale needs some extent. */

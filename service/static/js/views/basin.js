@@ -26,9 +26,7 @@ export class Basin extends PlaneView {
     this.build(root, { controls: sliders(this, AXES), label: "Plane of starts", hint: HINT, shown: [this.legend, this.entropies] });
   }
 
-  filePath() {
-    return `/v1/jobs/${this.job.id}/basins?${query(this.place)}`;
-  }
+  filePath = () => `/v1/jobs/${this.job.id}/basins?${query(this.place)}`;
 
   read([result]) {
     this.basin = result;

@@ -30,9 +30,7 @@ class AttractorView extends PlaneView {
     this.build(root, { controls: [sliders(this, axes), controls], shown: [this.legend, this.shares], ...options });
   }
 
-  filePath() {
-    return `/v1/jobs/${this.job.id}/multistability?${query(Object.fromEntries(this.axes.map((axis) => [axis, this.place[axis]])))}`;
-  }
+  filePath = () => `/v1/jobs/${this.job.id}/multistability?${query(Object.fromEntries(this.axes.map((axis) => [axis, this.place[axis]])))}`;
 
   read([result]) {
     this.plane = result;
