@@ -258,7 +258,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         ServiceUnreachable
             As for `Job.wait`.
         """
-        return until_ended(jobs, timeout)
+        return until_ended(jobs, timeout, shown=True)
 
     def map(self, specs: Iterable[Specification], *, at_once: int = 16) -> Iterator[Job]:
         """Submit specifications and yield their jobs in order, each once it has ended.
@@ -281,11 +281,11 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         remaining, submitted, away = iter(specs), deque[Job](), 0.0
         while True:
             for spec in islice(remaining, at_once - len(submitted)):
-                submitted.append(outlast(partial(self.submit, spec), away=away, busy=math.inf))
+                submitted.append(outlast(partial(self.submit, spec), away=away, busy=math.inf, shown=True))
                 away = MAX_OUTAGE  # once the service has answered
             if not submitted:
                 return
-            yield from until_ended([submitted.popleft()], None)
+            yield from until_ended([submitted.popleft()], None, shown=True)
 
     def plan(
         self,

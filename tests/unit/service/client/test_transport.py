@@ -280,10 +280,19 @@ def test_a_wait_and_a_result_outlive_a_restart_of_the_service(
     assert "computing\nno workers yet\n" in capsys.readouterr().err
 
 
-def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue():
+def test_a_list_of_sweeps_outlives_a_restart_and_waits_for_a_full_queue(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("service.client.transport.SHOWN_AFTER", 0.0)
     full, done = Answer(429, {"detail": "full"}), Answer(202, view("done", 10))
     with scripted(full, done, *[LOST] * 3, Answer(503, {}), full, done) as (_, client):
         assert [job.state for job in client.map([{}, {}])] == ["done", "done"]
+    shown = capsys.readouterr().err
+    assert "the service is busy" in shown
+    assert "the service does not answer: waiting up to" in shown
+    with scripted(Answer(body=view()), *[LOST] * 3, Answer(body=view("done", 10))) as (_, client):
+        assert [job.state for job in client.as_completed([client.job(ID)])] == ["done"]
+    assert "the service does not answer: waiting up to" in capsys.readouterr().err
     with scripted(*[LOST] * 3) as (_, client), pytest.raises(ServiceUnreachable):
         next(client.map([{}]))  # of a service that was never there
 
