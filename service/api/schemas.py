@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from kernel.numerics.cache import Compilation
-from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout, seconds_of
+from service.formats import MEDIA_TYPES, DatasetFormat, ExportFormat, ExportLayout
 from service.jobs.prepare import choice_of
 from service.ledger.model import Failure, JobRecord, JobState
 from service.ledger.search import JobSearch
 from service.views.registry import VIEWS
-from service.views.view import Query
+from service.views.view import SECONDS, Query
 from worker.analysis.model_selection import ModelChoice
 from worker.spec.contact_models import CONTACT_MODELS
 from worker.spec.errors import Code
@@ -55,8 +55,8 @@ class SubmitQuery(Query):
     """Whether to accept the sweep or only to validate it."""
 
     validate_only: bool = False
-    budget: Annotated[float, BeforeValidator(seconds_of), Field(gt=0, le=604_800)] | None = Field(
-        None, description="s, or a time such as 5m: the finest level of a sweep that fits is computed"
+    budget: Annotated[float, Field(le=604_800), SECONDS] | None = Field(
+        None, description="s, or a time such as 5m, at most a week: the finest level that fits is computed"
     )
 
 

@@ -6,13 +6,12 @@ from typing import Annotated, Any, Final
 
 import numpy as np
 import xarray
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from service.errors import InvalidRequest, TooLarge
-from service.formats import seconds_of
 from service.pictures import ATTRACTORS, Figure
 from service.views.variables import dataset, row, variables
-from service.views.view import Call, Estimate, Number, Query, View
+from service.views.view import SECONDS, Call, Estimate, Number, Query, View
 from worker.analysis.audit import reference_seconds
 from worker.analysis.planning import FIRST, FRESH, MORE, Setting, Share, frontier, plan
 from worker.spec.errors import SpecTooLarge
@@ -47,7 +46,7 @@ _ROWS: Final = (
 class PlanQuery(Query):
     """Limits on the recommended setting."""
 
-    budget: Annotated[Number, BeforeValidator(seconds_of), Field(gt=0)] | None = Field(
+    budget: Annotated[Number, SECONDS] | None = Field(
         None, description="s, or a time such as 5m, that it takes at most"
     )
     tolerance: Annotated[Number, Field(gt=0, lt=1)] | None = Field(

@@ -8,15 +8,17 @@ from types import UnionType
 from typing import Annotated, Any, Final, Literal
 
 import xarray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from service.formats import PICTURES
+from service.formats import PICTURES, seconds_of
 from service.pictures import CLASS_NAMES, Figure
 from service.views import encode
 from worker.spec.axes import LARGEST, SMALLEST, within
 from worker.study import Array
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
+#: Reads a time as seconds, or text such as 5m.
+SECONDS: Final = BeforeValidator(seconds_of, json_schema_input_type=float | str)
 Every = Annotated[int, Field(ge=1, le=1_000_000, description="return every n-th value only")]
 
 #: Parameters of a spring, with the limits of a specification.
