@@ -18,12 +18,15 @@ from worker.spec.errors import BrokenRuleError, describe
 #: Most combining marks on one letter of a name. No script needs more, and they cover the lines around.
 MAX_MARKS: Final = 4
 
+#: Zero-width joiners and non-joiners of words: emoji, Persian and Indic scripts need them.
+_JOINERS: Final = re.compile(r"(?<=[^\s\u200c\u200d])[\u200c\u200d]")
+
 
 def _label(name: str) -> str:
-    if not name.isprintable():
+    text, marks = _JOINERS.sub("", name), 0
+    if not text.isprintable():
         raise BrokenRuleError("", "must be one line of printable characters")
-    marks = 0
-    for character in name:
+    for character in text:
         marks = marks + 1 if category(character) in ("Mn", "Me") else 0
         if marks > MAX_MARKS:
             raise BrokenRuleError("", f"must have at most {MAX_MARKS} combining marks in a row")

@@ -95,6 +95,8 @@ RULES = [
     ({"name": 3}, "name: must be text, not 3"),
     ({"name": "x" * 201}, "name: must have at most 200 characters, not 201"),
     ({"name": "two\nlines"}, "name: must be one line of printable characters"),
+    ({"name": "a \u200d"}, "name: must be one line of printable characters"),
+    ({"name": "a\u200d\u200db"}, "name: must be one line of printable characters"),
     ({"name": "\ud800"}, "name: must be text that UTF-8 can write, without lone surrogates"),
     ({"protocol": "ramp"}, "protocol: must be a group of fields, as {kind = \"ramp\"}, not text 'ramp'"),
     ({"Γ": 1}, "Γ: is not a field here; did you mean 'gamma'? "),
@@ -404,8 +406,19 @@ def test_unreadable_file_says(tmp_path, name, content, expected):
 
 def test_a_pile_of_combining_marks_is_refused():
     fields, label = {"gamma": 1.0, "omega": 1.0, "xi": 0.5}, TypeAdapter(Label)
-    for name in ("Vie\u0302\u0323t e\u0301\u0302\u0323\u0324", "\u0915\u094d\u0937\u093f", "s\u0336t\u0336"):
+    joined = "\u0645\u06cc\u200c\u0631\u0648\u0645 \u0d28\u0d4d\u200d \U0001f468\u200d\U0001f467"
+    for name in (
+        "Vie\u0302\u0323t e\u0301\u0302\u0323\u0324",
+        "\u0915\u094d\u0937\u093f",
+        "s\u0336t\u0336",
+        joined,
+    ):
         assert label.validate_python(name) == name
-    for name in ("e" + "\u0301" * 5, "\u0301" * 200, "ok \u20dd\u20dd\u20dd\u20dd\u20dd"):
+    for name in (
+        "e" + "\u0301" * 5,
+        "\u0301" * 200,
+        "ok \u20dd\u20dd\u20dd\u20dd\u20dd",
+        "e" + "\u0301\u200d" * 5,
+    ):
         with pytest.raises(SpecInvalid, match=r"^name: must have at most 4 combining marks in a row$"):
             SweepSpec(**fields, name=name)
