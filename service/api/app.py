@@ -12,7 +12,7 @@ from starlette.staticfiles import StaticFiles
 
 from service.api import openapi, problems
 from service.api.capacity import Capacity
-from service.api.dependencies import Service, reject_repeated_parameters
+from service.api.dependencies import Service, check_parameters
 from service.api.middleware import Gate
 from service.api.monitoring import JobsCollector, Metrics
 from service.api.progress_stream import ProgressStream
@@ -76,12 +76,10 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         docs_url=None,  # routers.docs replaces FastAPI's viewers, which load scripts from other hosts
         redoc_url=None,
         generate_unique_id_function=attrgetter("name"),  # the name in a generated client
-        dependencies=[Depends(reject_repeated_parameters)],
+        dependencies=[Depends(check_parameters)],
         lifespan=lifespan,
     )
-    for router in (health.router, docs.router):
-        app.include_router(router)
-    for router in (jobs.router, results.router, *views.routes(), page.router):
+    for router in (health.router, docs.router, jobs.router, results.router, *views.routes(), page.router):
         app.include_router(router, responses=problem_responses(422))
     app.mount("/static", StaticFiles(directory=page.FILES), name="static")
     problems.install(app)

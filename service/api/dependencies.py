@@ -25,6 +25,7 @@ from service.ledger.model import JobRecord, JobState
 from service.settings import Settings
 from service.views import registry
 from service.views.selection import BASE_MEMORY, Stored
+from worker.spec.errors import Problem
 
 
 @dataclass(frozen=True)
@@ -141,13 +142,20 @@ def cost_of_read(service: Service, job: JobRecord, memory: int, *along: str) -> 
     return Cost(BASE_MEMORY + memory, few and memory <= SMALL_ANSWER)
 
 
-async def reject_repeated_parameters(request: Request) -> None:
-    """Refuse a parameter or key given twice, of which only one would count. Raises InvalidRequest."""
+async def check_parameters(request: Request) -> None:
+    """Refuse a parameter or key given twice, of which only one would count, and any where none is taken.
+
+    Unknown ones beside others are refused by their models. Raises InvalidRequest.
+    """
     counts = Counter(name for name, _ in request.query_params.multi_items())
     counts["idempotency-key"] += len(request.headers.getlist("idempotency-key"))
     for name, count in counts.items():
         if count > 1:
             raise InvalidRequest.of(name, f"is given {count} times")
+    route, rule = request.scope["route"], "is not a parameter here; there are none"
+    if route.path.startswith("/v1/") and not route.dependant.query_params:  # a probe or a link may have any
+        for name in request.query_params:
+            raise InvalidRequest(f"{name}: {rule}", [Problem(name, rule, "unknown")])
 
 
 async def _json_body(request: Request, service: ServiceDep) -> bytes:

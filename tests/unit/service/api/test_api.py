@@ -48,6 +48,17 @@ def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
     assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
 
 
+def test_calls_without_parameters_refuse_any_but_probes_and_links_may_have_some(
+    client: TestClient, figure_2: str
+):
+    for method, path in (("GET", "/v1/software"), ("GET", "/v1/figures"), ("POST", f"{figure_2}/pin")):
+        answer = client.request(method, path, params={"x": 1})
+        (problem,) = answer.json()["errors"]
+        assert (answer.status_code, problem["field"], problem["code"]) == (422, "x", "unknown")
+    for path in ("/", "/healthz", "/metrics"):
+        assert client.get(path, params={"x": 1}).status_code == 200
+
+
 def test_the_name_of_the_data_folder_need_not_be_utf_8(tmp_path: Path):
     name = os.fsdecode(b"\xff")
     with computing(tmp_path / name) as client:
