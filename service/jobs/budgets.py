@@ -30,11 +30,14 @@ MOST, KEPT = 8, 64
 SAME_SECONDS: Final = 1.0
 #: Seconds between two checks of a level.
 LOOK_SECONDS: Final = 0.05
+#: Share of the time left that a budget waits for the comparison of two levels.
+COMPARING: Final = 0.03
 
 #: The sentence of a job's audit; None if it takes longer than this many seconds.
 Audit = Callable[[JobRecord, float], str | None]
-#: The share of a level's cells where the level before it shows another mode; None if that cannot be read.
-Changed = Callable[[JobRecord, JobRecord], float | None]
+#: The share of a level's cells where the level before it shows another mode; None if that cannot be read
+#: within this many seconds.
+Changed = Callable[[JobRecord, JobRecord, float], float | None]
 
 
 class Budgets:
@@ -165,7 +168,9 @@ class Budget:
 
     def changed(self) -> float | None:
         before, last = map(self._budgets.ledger.find, self.levels[-2:])
-        return None if before is None or last is None else self._budgets.changed(last, before)
+        if before is None or last is None:
+            return None
+        return self._budgets.changed(last, before, COMPARING * (self.ends - time.monotonic()))
 
     def audit(self, spec: SweepSpec, seconds: float) -> str | None:
         job = self._budgets.ledger.find(self.answer or "")

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from inspect import cleandoc
 from itertools import groupby
 from operator import attrgetter, itemgetter
@@ -162,12 +163,23 @@ def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
     return None
 
 
-def changed(service: Service, job: JobRecord, before: JobRecord) -> float | None:
-    """The share of a job's cells where a coarser one shows another mode; None if that cannot be read."""
-    studies = [dependencies.stored(service, level) for level in (job, before)]
-    with suppress(OSError, StoreError, Unreachable, ServiceError):
-        return service.background.run(difference.changed, *studies)
-    return None
+def changed(service: Service, job: JobRecord, before: JobRecord, seconds: float) -> float | None:
+    """The share of a job's cells where a coarser one shows another mode.
+
+    None if that cannot be read within this many seconds.
+    """
+    client, shares = Asker(object()), list[float | None]()
+
+    def compare() -> None:
+        with suppress(OSError, StoreError, Unreachable, ServiceError, MemoryError):
+            studies = [dependencies.stored(service, level) for level in (job, before)]
+            shares.append(client.run(partial(service.background.run, difference.changed, *studies)))
+
+    comparing = threading.Thread(target=compare, daemon=True)  # it may wait for a process to start
+    comparing.start()
+    comparing.join(max(seconds, 0.0))
+    client.leave()
+    return shares[0] if shares else None
 
 
 def _computed(service: Service, study: Stored[Any] | None, calls: Sequence[Call]) -> list[Any]:

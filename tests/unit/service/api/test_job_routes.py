@@ -1,13 +1,17 @@
 """Endpoints of jobs: idempotency keys, budgets, estimates, links, ETags."""
 
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
+import pytest
 from fastapi.testclient import TestClient
 from scripted import Held, sweep, wait_for
 from served import computing, finished, get, service
 from tables import for_each
+
+from service.views import difference
 
 SWEEP: dict[str, Any] = {**sweep().as_submitted(), "name": "small"}
 
@@ -68,6 +72,18 @@ def test_a_budget_ends_with_a_job_that_is_the_sweep_itself_where_all_of_it_fits(
         assert "was over before the first level of" in refused.text
         states = {job["state"] for job in get(client, "/v1/jobs?search=within")["jobs"]}
     assert states == {"done"}  # nothing began
+
+
+def test_a_budget_goes_on_where_its_levels_cannot_be_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    never, compared = threading.Event(), list[Any]()
+    monkeypatch.setattr(difference, "changed", lambda *studies: compared.append(studies) or never.wait())
+    spec = SWEEP | {"gamma": {"start": 1.1, "stop": 2.1, "num": 30}}
+    with computing(tmp_path) as client:
+        answer = budget(client, spec, 20.0)["budget"]["answer"]
+        assert answer == client.post("/v1/jobs", json=spec).json()["id"]
+    assert compared
 
 
 @for_each("how", ["submitted", "resumed"])
