@@ -17,7 +17,7 @@ def missing_library(error: ModuleNotFoundError) -> str | None:
     name = str(error.name).partition(".")[0]
     if name in _OURS:
         return None
-    return f"needs {name}, which is not installed with the client alone: pip install bouncing-spring"
+    return f"needs {name}, which is not installed with the client alone: pip install -e ."
 
 
 class ServiceError(BounceError):

@@ -136,7 +136,7 @@ def to_parquet(dataset: xarray.Dataset, rows: str) -> bytes:
 def check_format(format: str) -> None:
     """Raise NotInstalled for Parquet without its library."""
     if format == "parquet" and find_spec("pyarrow") is None:
-        raise NotInstalled('Parquet needs the extra parquet: pip install "bouncing-spring[parquet]"')
+        raise NotInstalled('Parquet needs the extra parquet: pip install -e ".[parquet]"')
 
 
 def write_parquet(target: Any, batches: Iterator[Any], attributes: Mapping[Any, Any]) -> None:

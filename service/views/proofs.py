@@ -98,7 +98,7 @@ def of_cell(model: object, cell: Cell, state: NDArray[np.float64] | None) -> dic
 def _decided(prove: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """The result of `prove` with the verdict. Raises NotInstalled without the library for proofs."""
     if find_spec("flint") is None:
-        raise NotInstalled('proofs need the extra proofs: pip install "bouncing-spring[proofs]"')
+        raise NotInstalled('proofs need the extra proofs: pip install -e ".[proofs]"')
     from kernel.proofs.balls import NotProvenError
 
     try:

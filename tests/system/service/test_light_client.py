@@ -55,11 +55,11 @@ for command in (
 ):
     done = CliRunner().invoke(main, command)
     assert (done.exit_code, done.output.count("\\n")) == (1, 1), (command, done.output, done.exception)
-    assert "is not installed with the client alone: pip install bouncing-spring" in done.output, command
+    assert "is not installed with the client alone: pip install -e ." in done.output, command
 try:
     from bouncing_spring import run
 except ImportError as error:
-    assert "run needs " in str(error) and "pip install bouncing-spring" in str(error)
+    assert "run needs " in str(error) and "pip install -e ." in str(error)
 else:
     raise AssertionError("run is there")
 print("asked")

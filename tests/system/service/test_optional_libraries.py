@@ -32,7 +32,7 @@ def test_over_http_parquet_is_501_and_netcdf_is_there(tmp_path: Path, no_pyarrow
         job = finished(client, SWEEP)
         answer = client.get(f"{job}/export?format=parquet")
         assert (answer.status_code, answer.json()["title"]) == (501, "Not Implemented")
-        assert 'pip install "bouncing-spring[parquet]"' in answer.json()["detail"]
+        assert 'pip install -e ".[parquet]"' in answer.json()["detail"]
         assert client.get(f"{job}/export?format=nc").status_code == 200
 
 
@@ -41,7 +41,7 @@ def test_a_run_says_so_before_it_computes(tmp_path: Path, no_pyarrow: None):
     specification.write_text(json.dumps(SWEEP))
     done = CliRunner().invoke(main, ["run", str(specification), "-o", str(tmp_path / "a.parquet")])
     assert done.exit_code == 1
-    assert 'pip install "bouncing-spring[parquet]"' in done.stderr
+    assert 'pip install -e ".[parquet]"' in done.stderr
     assert list(tmp_path.iterdir()) == [specification]
 
 

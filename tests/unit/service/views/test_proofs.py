@@ -60,4 +60,4 @@ def test_without_the_extra_one_sentence_says_what_to_install(
     cell = {"gamma": 1.5, "omega": 0.5, "xi": 0.26, "model": {"kind": "rigid"}, "prove": True}
     answer = client.post("/v1/trajectories", json=cell)
     assert answer.status_code == 501
-    assert 'pip install "bouncing-spring[proofs]"' in answer.json()["detail"]
+    assert 'pip install -e ".[proofs]"' in answer.json()["detail"]
