@@ -60,6 +60,8 @@ def repair_metadata(url: str, layout: Layout, attrs: Mapping[str, Any] | None = 
     # The root comes last: a store with consolidated metadata is complete.
     wrong.sort(key=lambda name: name == ROOT)
     if wrong:
+        if not in_bucket(url) and Path(url).is_file():
+            Path(url).rename(f"{url}.replaced")
         backend.make_place(url)
         write_keys(url, {name: expected[name] for name in wrong})
         root = Path(url)

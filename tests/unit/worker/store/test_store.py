@@ -72,6 +72,14 @@ def test_another_sweep_or_another_cut_is_not_overwritten(url, spec, plan):
         store.create(url, layout(spec, make_plan(spec, chunk_shape=(2, 3, 10)).chunk_shape))
 
 
+def test_a_file_in_the_place_of_a_store_gives_way(url, spec, plan):
+    intact = files(url)
+    shutil.rmtree(url)
+    Path(url).write_text("no store")
+    store.create(url, layout(spec, plan.chunk_shape))
+    assert files(url) == intact
+
+
 @pytest.fixture(scope="module")
 def full(tmp_path_factory) -> tuple[str, dict[str, np.ndarray]]:
     """A store with every chunk written, and all of it as zarr reads it."""
