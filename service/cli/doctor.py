@@ -99,12 +99,15 @@ def _stores(settings: Settings) -> Iterator[Finding]:
     """Stores that the ledger does not know, that are missing, and leftovers of deletions."""
     url, ledger = settings.stores_url, settings.ledger_path
     names = set(store.names_in(url))
-    yield Finding("stores", f"{url}: {sum(name.endswith('.zarr') for name in names)} stores")
+    yield Finding("stores", f"{url}: {plural(sum(name.endswith('.zarr') for name in names), 'store')}")
     marker, known, lost = None, set[str](), list[str]()
     if ledger.exists():
-        with backup.reading(ledger) as reading:
-            (own, made), known = reading.marker(), reading.stores()
-            lost = [job.store for job in reading.search() if job.chunks_done and job.store not in names]
+        try:
+            with backup.reading(ledger) as reading:
+                (own, made), known = reading.marker(), reading.stores()
+                lost = [job.store for job in reading.search() if job.chunks_done and job.store not in names]
+        except LedgerUnusable:  # `_ledger` says why
+            return
         marker = own if made else None
     if marker is not None and (stored := store.read_marker(url)) != marker:
         state = "is missing" if stored is None else "is another ledger's"

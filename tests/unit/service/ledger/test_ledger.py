@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from ledgers import accept, current, reports
 
-from service.cli.doctor import verify
+from service.cli.doctor import examine, verify
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger import backup
 from service.ledger.ledger import Ledger
@@ -89,6 +89,8 @@ def test_a_newer_ledger_is_left_alone(tmp_path: Path):
             Ledger(path)
     with pytest.raises(LedgerUnusable, match="version 99"):
         list(verify(Settings(data=tmp_path), None))
+    findings = [finding for finding in examine(Settings(data=tmp_path), None) if not finding.ok]
+    assert [finding.subject for finding in findings] == ["ledger"]
 
 
 def test_a_pause_is_no_progress_from_which_the_time_left_counts(ledger: Ledger):
