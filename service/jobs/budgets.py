@@ -31,7 +31,7 @@ SAME_SECONDS: Final = 1.0
 #: Seconds between two checks of a level.
 LOOK_SECONDS: Final = 0.05
 #: Share of the time left that a budget waits for the comparison of two levels.
-COMPARING: Final = 0.03
+COMPARING: Final = 0.1
 
 #: The sentence of a job's audit; None if it takes longer than this many seconds.
 Audit = Callable[[JobRecord, float], str | None]
