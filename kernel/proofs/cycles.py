@@ -20,7 +20,8 @@ from kernel.proofs.balls import Condition, NotProvenError, exact, flow
 from kernel.restitution import scalar_damping_ratio
 
 _MOST_HOPS: Final = 400  # of one chatter
-_STEPS: Final = 40  # limit on Newton steps
+_MOST_SEGMENTS: Final = 500  # of a cycle; the work grows as their third power
+_STEPS: Final = 16  # limit on Newton steps
 _NEAR: Final = 5e-7  # largest distance of a proven cycle from its guess, in its start and in any instant
 
 #: Places in a state. The unknowns lack the first, and the durations follow.
@@ -102,6 +103,9 @@ class Cycles:
         self._start = list(map(exact, guess.unknowns))
         if "c" in word:
             self._spell_out_chatter()
+        if (n := len(self._segments)) > _MOST_SEGMENTS:
+            rule = f"proofs take up to {_MOST_SEGMENTS}: a smaller restitution has fewer"
+            raise NotProvenError(f"a cycle of {n} contacts and flights; {rule}", "not covered")
 
     def _segment(self, letter: str, before: str) -> _Segment:
         up, force, reset, below = self._up, self._force, arb_mat(7, 7, 1), int(before == "b")
@@ -117,6 +121,8 @@ class Cycles:
             "F sided": (up, [[(up, 0, True), (-force, 1, False)]]),
             "b sided": (force, [[(-force, 1, True)]]),
         }.get(letter + " sided" * self._sided, (up, landing))
+        if letter in "CFb":  # as above, to the gap at which the event is zero
+            reset[GAP, GAP], reset[GAP, GAP1] = 0, -event[0, GAP1] / event[0, GAP]
         return _Segment(letter, self.contact if letter in "SC" else self.flight, event, reset, conditions)
 
     def _spell_out_chatter(self) -> None:

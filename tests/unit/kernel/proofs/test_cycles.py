@@ -11,12 +11,13 @@ pytest.importorskip("flint", reason="needs the extra proofs")
 from kernel.cycles.cycles import cycle_from
 from kernel.cycles.descent import cycle_of
 from kernel.cycles.events import branch, flight_times
-from kernel.cycles.folds import one_flight
+from kernel.cycles.folds import Cycle, one_flight
 from kernel.cycles.spring import spring
 from kernel.line import run_line
 from kernel.models.rigid import plate as rigid
 from kernel.models.soft import plate as soft
 from kernel.params import Cell, Outcome
+from kernel.proofs import balls
 from kernel.proofs.balls import NotProvenError, bounds
 from kernel.proofs.cycles import Law, prove_cycle
 
@@ -103,6 +104,25 @@ def chattering():
     return min(
         (each[:2] for each in settled(LAWS[1]) if "c" in each[1].letters), key=lambda x: len(x[1].letters)
     )
+
+
+@pytest.mark.parametrize("adhesive", [True, False])
+def test_a_cycle_of_many_contacts_is_proven_at_the_first_precision(adhesive, monkeypatch):
+    monkeypatch.setattr(balls, "PRECISIONS", balls.PRECISIONS[:1])
+    law, cell = Law(0.8, 1e-6, adhesive=adhesive), Cell(0.8, 1.0, 0.26)
+    line = run_line(
+        *map(np.atleast_1d, cell), plate=plate_of(law), carry=False, settle=500, observe=50, keep=64
+    )
+    cycle = cycle_of(cycle_from(plate_of(law), cell, 1, line.end_state[0]))
+    assert len(cycle.letters) > 50
+    prove_cycle(law, cell, cycle)
+
+
+def test_a_cycle_of_too_many_contacts_is_not_covered():
+    cycle = Cycle("FC" * 300, 1, np.ones(605))
+    with pytest.raises(NotProvenError, match="a cycle of 600 contacts and flights; proofs take") as why:
+        prove_cycle(Law(0.97, 1e-6), CELL, cycle)
+    assert why.value.verdict == "not covered"
 
 
 @pytest.mark.parametrize("chatters", [False, True])
