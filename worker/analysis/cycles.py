@@ -328,11 +328,11 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
         return None
     kind = Kind(kind)
     a, b = 0.0, _SECANT
-    value_a, point = crossing(kind, node), ahead(node, b)
+    value_a, point = _test(kind, node), ahead(node, b)
     for _ in range(_SECANTS):
         if point is None:
             return None
-        value = crossing(kind, point)
+        value = _test(kind, point)
         if abs(value - value_a) == 0.0 or abs(b - a) < _LOCATED:
             break
         a, value_a, b = b, value, b - value * (b - a) / (value - value_a)
@@ -342,6 +342,11 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
     else:  # beyond where two flips meet, the multipliers have a least distance to -1
         return None
     return admissible(point) if happens(kind, point) else None
+
+
+def _test(kind: Kind, point: Point) -> float:
+    """A function that is zero at an event of a kind; that of a fold is not where a segment vanishes."""
+    return crossing(kind, point) / (point.times.min() if kind is Kind.FOLD else 1.0)
 
 
 def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:

@@ -186,6 +186,18 @@ def test_curves_of_many_hops_lie_close_together(python_client: Client):
     assert np.abs(folds[:, None] - at).min(axis=1).max() < 1e-6
 
 
+def test_curves_of_folds_beside_grazes_go_on(python_client: Client):
+    """Where a contact of no duration, at the graze, also turns the branch."""
+    spring = {"modes": "1-1", "model": "soft", "restitution": 0.7, "penetration": 0.01, "xi": 0.0643}
+    query = {"omega_start": 0.95, "omega_stop": 1.0, "kinds": "fold"}
+    curves = python_client.curves(**spring, **query, progress=False)
+    events = python_client.orbits(**spring, omega=0.98476)
+    folds = events.event_gamma.values[events.event_kind.values == "fold"]
+    at = [np.interp(0.98476, *curve) for curve in _points(curves, "omega")]
+    assert len(folds) == 6
+    assert np.abs(folds[:, None] - at).min(axis=1).max() < 1e-5
+
+
 def test_curves_go_on_where_the_segments_of_a_cycle_change(python_client: Client):
     """Between those at which curves are sought, too: here short contacts come and go."""
     soft = {"model": "soft", "restitution": 0.05, "penetration": 0.01, "adhesive": False}
