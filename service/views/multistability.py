@@ -234,11 +234,11 @@ def _commonest(ids: NDArray[np.int64], labels: NDArray[np.object_]) -> dict[int,
 def _events(
     spec: MultistabilitySpec, arrays: _Arrays, ids: NDArray[np.int64], labels: Any, rows: slice
 ) -> Iterator[tuple[Any, ...]]:
-    """Births, deaths and changes of mode between computed cells of the lines `rows`, as _OF_EVENTS."""
-    computed = arrays["outcome"] != Outcome.MISSING
+    """Births, deaths and changes of mode between decided cells of the lines `rows`, as _OF_EVENTS."""
+    decided = np.any(ids, axis=-1)
     omega, gamma = (spec.axis_values(axis).tolist() for axis in _PLANE)
     for i in range(len(omega))[rows]:
-        for j in np.flatnonzero(computed[i, :-1] & computed[i, 1:]).tolist():
+        for j in np.flatnonzero(decided[i, :-1] & decided[i, 1:]).tolist():
             below, above = (
                 {n: label for n, label in zip(ids[i, k].tolist(), labels[i, k], strict=True) if n}
                 for k in (j, j + 1)

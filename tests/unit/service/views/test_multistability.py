@@ -177,6 +177,13 @@ def test_what_happens_between_cells_that_are_computed(tmp_path: Path):
     assert lost.attrs["complete"]
 
 
+def test_nothing_happens_beside_a_cell_whose_starts_are_undecided(tmp_path: Path):
+    through: list[list[Known] | None] = [[Known(ONE, up=1)], [Known(ONE, up=1, down=1)], [Known(ONE, down=1)]]
+    gap: list[list[Known] | None] = [[Known(ONE)], [], [Known(ONE)]]
+    for name, lines in (("one", [gap]), ("joined", [gap, through])):
+        assert events(read(written(tmp_path / name, lines))) == []
+
+
 def test_before_the_first_cell_is_computed_there_is_no_attractor(tmp_path: Path):
     queued = Stored(spec_of([1.0, 1.5], [0.5, 0.6, 0.7]), str(tmp_path / "nothing.zarr"))
     found = read(queued)
