@@ -1,11 +1,13 @@
-"""The adaptive map of docs/specification.md against every cell of its grid."""
+"""Adaptive maps, that of docs/specification.md and small ones, against every cell of their grids."""
 
 import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from paths import ROOT
 
 from kernel.params import Outcome
@@ -45,3 +47,28 @@ def test_the_example_has_the_shares_of_the_whole_grid_in_half_of_its_time(tmp_pa
     wrong = np.any([found[name] != full[name] for name in MODE_ARRAYS], axis=0)
     assert np.mean(wrong) < 0.01
     assert seconds < 0.5 * full_seconds
+
+
+@pytest.mark.parametrize(
+    ("model", "xi", "outcome", "mode"),
+    [
+        ({"kind": "rigid"}, 0.03, 0.007, 0.007),
+        ({"kind": "rigid", "restitution": 0.5}, 0.03, 0.007, 0.007),
+        ({"kind": "soft", "restitution": 0.5, "penetration": 0.01}, 0.03, 0.007, 0.007),
+        ({"kind": "soft"}, 0.4, 0.007, 0.007),
+        ({"kind": "ball", "restitution": 0.45}, 0.26, 0.12, 0.53),
+        ({"kind": "ball", "restitution": 0.6}, 0.26, 0.12, 0.53),
+    ],
+    ids=str,
+)
+def test_small_maps_miss_more_of_a_ball_than_of_a_spring(
+    model: dict[str, Any], xi: float, outcome: float, mode: float, tmp_path: Path
+):
+    use_cache()
+    gamma, omega = {"start": 0.5, "stop": 6.0, "num": 89}, {"start": 0.3, "stop": 1.7, "num": 89}
+    fields = {"gamma": gamma, "omega": omega, "xi": xi, "model": model, "keep": 8}
+    found, _ = computed(SweepSpec.parse(fields | {"refine": {"by": "mode"}}), tmp_path / "map.zarr")
+    full, _ = computed(SweepSpec.parse(fields), tmp_path / "full.zarr")
+    wrong = np.any([found[name] != full[name] for name in MODE_ARRAYS], axis=0)
+    assert np.mean(found["outcome"] != full["outcome"]) < outcome
+    assert np.mean(wrong) < mode
