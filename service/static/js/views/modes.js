@@ -80,7 +80,7 @@ export class Modes extends PlaneView {
     const { every, computed_share: computed } = this.attrs;
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. ${shared ? "" : "Zoom in for more detail. "}` : "";
     const adaptive = `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block${this.color === "mode" ? "" : " and |μ| of a computed neighbour"}. `
-      + "Filling makes 0.3 to 0.5 % of a map’s cells aperiodic that are not.";
+      + `Filling gives up to ${hasSpring(this.job) ? "0.7 %" : "half"} of a map’s cells another mode.`;
     this.note.textContent = thinned + (this.isAdaptive ? adaptive : this.#hysteresisText());
   }
 
