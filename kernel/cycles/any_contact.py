@@ -199,9 +199,12 @@ def seeds(plate: Any, omega: float, xi: float, periods: int) -> Iterator[Point]:
     for low, high in ranges:
         cells = [Cell(low + x * (high - low), omega, xi) for x in _SHARES if high - low > _NARROWEST]
         starts = [start_on_stable_cycle(cell, periods) for cell in cells]
-        points = [point for start in starts if (point := beside(plate, start, periods)) is not None]
+        points = [beside(plate, start, periods) for start in starts]
+        yield from filter(None, points)
         # far away from these, its own cycles may still attract
-        yield from points or filter(None, (beside(plate, start, periods, _ROUNDS) for start in starts))
+        far = [start for start, point in zip(starts, points, strict=True) if point is None]
+        far = far if len(far) == len(starts) else far[::-1]  # those near rest are on the branch of the others
+        yield from filter(None, (beside(plate, start, periods, _ROUNDS) for start in far))
     if not ranges:
         unstable = starts_on_admissible_cycles(omega, xi, periods)
         yield from filter(None, (beside(plate, start, periods) for start in unstable))

@@ -67,7 +67,7 @@ def test_multipliers_do_not_depend_on_where_the_cycle_begins(plate):
 
 def test_a_solution_that_passes_through_the_plate_is_no_cycle():
     """The family of two hops at e = 0.9, followed beyond where its flight touches the plate."""
-    changes = (x.point for x in branches(rigid(0.9), 0.60, 0.05, 1)[1].events if x.kind is Kind.GRAZE_FLIGHT)
+    changes = (x.point for x in branches(rigid(0.9), 0.60, 0.05, 1)[-1].events if x.kind is Kind.GRAZE_FLIGHT)
     before = next(point for point in changes if point.letters == "hh")
     beyond = [
         before.cycles.newton(before.x + step * before.tangent, before.tangent) for step in (-1e-3, 1e-3)

@@ -71,7 +71,7 @@ def test_folds_flips_and_ends_of_a_branch(plate, omega, xi, folds, others):
 
 
 def test_a_family_of_hops_that_never_sticks():
-    _, hops = branches(rigid(0.9), 0.60, 0.05, 1)
+    *_, hops = branches(rigid(0.9), 0.60, 0.05, 1)
     assert {point.letters for point in hops.points} >= {"h", "hh", "hhh"}
     assert pytest.approx(gammas(hops, FOLD)[0], abs=1e-9) == 0.393179810088
     assert pytest.approx(gammas(hops, FLIP)[0], abs=1e-9) == 0.427801679385
@@ -81,6 +81,11 @@ def test_a_family_of_hops_that_never_sticks():
 def test_a_family_without_a_stable_cycle_near_those_of_the_closed_form(omega):
     _, hops = branches(rigid(0.7), omega, 0.05, 1)
     assert {point.letters for point in hops.points} >= {"h", "hh", "hhh"}
+
+
+def test_a_branch_far_from_the_cycles_of_the_closed_form_beside_one_near_them():
+    lines = branches(soft(0.7, 0.01), 0.975, 0.0643, 1, span=(0.2, 2.0))
+    assert [max(point.parameter for point in line.points) > 1.9 for line in lines] == [False, True]
 
 
 def test_a_branch_where_no_cycle_of_the_closed_form_is_stable():
