@@ -165,7 +165,10 @@ class Gate:
         # compares all, each in constant time: the time taken reveals nothing
         names = [name for accepted, name in self._tokens if hmac.compare_digest(sent, accepted)]
         if not names or scheme.lower() != "bearer":
-            missing = "This service requires an access token. Send the header Authorization: Bearer TOKEN."
+            missing = (
+                "This service requires an access token: the header Authorization: Bearer TOKEN, or "
+                "BOUNCE_TOKEN of bounce and the client."
+            )
             detail = "The access token is wrong." if values else missing
             raise HTTPException(401, detail, {"WWW-Authenticate": "Bearer"})
         return names[0]
