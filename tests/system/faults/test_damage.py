@@ -210,16 +210,12 @@ def swap_everything(ours: Path, theirs: Path, chance: random.Random) -> None:
     shutil.copytree(theirs, ours)
 
 
-def remove_everything(ours: Path, theirs: Path, chance: random.Random) -> None:
-    shutil.rmtree(ours)
-
-
 def test_files_that_are_not_the_jobs_own_are_never_answered(tmp_path: Path):
     """Each is whole, and would be decoded: a swapped or edited file is damage, and is repaired."""
     chance = random.Random(8)
     harms = [
         swap_a_file, swap_a_chunk, move_a_chunk, edit_numbers, edit_type, edit_shape, nest, swap_metadata,
-        swap_everything, remove_everything, make_folders,
+        swap_everything, make_folders,
     ]  # fmt: skip
     other = SWEEP | {"gamma": SWEEP["gamma"] | {"start": 0.9}}
     with running(tmp_path) as service:
@@ -228,7 +224,7 @@ def test_files_that_are_not_the_jobs_own_are_never_answered(tmp_path: Path):
         intact = files(ours)
         keys = ["zarr.json", *sorted(str(path.relative_to(ours)) for path in ours.glob("flight_time/c.*"))]
         expected = [answer.content for answer in service.answers(here, SWEEP)]
-        for number in range(max(HTTP_TRIALS, len(harms))):
+        for number in range(HTTP_TRIALS):
             harm = harms[number % len(harms)]
             harm(ours, theirs, chance)
             for answer, right in zip(service.answers(here, SWEEP), expected, strict=True):
@@ -333,6 +329,20 @@ def test_a_lost_predecessor_on_a_ramp_is_computed_again_first(tmp_path: Path):
         repaired = files(service.store(here))
     with running(tmp_path / "other") as service:
         assert files(service.store(service.submit(RAMP))) == repaired
+
+
+def test_a_store_that_is_gone_is_computed_again(tmp_path: Path):
+    with running(tmp_path) as service:
+        here = service.submit(SWEEP)
+        intact = files(service.store(here))
+        shutil.rmtree(service.store(here))
+        assert all(answer.status_code == 503 for answer in service.answers(here, SWEEP)[:1])
+        for _ in range(12):  # each response finds one or two chunks
+            service.answers(here, SWEEP)
+            service.wait(here)
+            if files(service.store(here)) == intact:
+                break
+        assert files(service.store(here)) == intact
 
 
 @pytest.mark.parametrize("query", ["audit?cells=21", "threshold?tolerance=1e-3&xi=0.05"])

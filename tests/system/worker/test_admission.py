@@ -190,6 +190,16 @@ def test_a_worker_that_joins_and_cannot_load_the_kernel_fails_no_chunk_until_it_
     assert unexpected == []
 
 
+def test_a_worker_whose_folder_is_mounted_late_is_admitted(tmp_path: Path, processes: Processes):
+    stores = tmp_path / "data" / "stores"
+    with closing(Dask(processes.address, stores=marked(tmp_path / "data"), timeout=60)) as executor:
+        stores.rename(tmp_path / "away")
+        processes.worker()
+        wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
+        (tmp_path / "away").rename(stores)
+        wait_for(lambda: executor.state().workers == 1 and not executor.state().refused, seconds=PATIENCE)
+
+
 def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(tmp_path, monkeypatch):
     """No others will join. Here their cache is open to all users."""
     (tmp_path / "cache").mkdir()

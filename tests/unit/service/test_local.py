@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 import xarray
+from json_results import from_json
 from served import service
 from stores import files, store_in
 from studies import BASINS, spec_of
@@ -53,6 +55,30 @@ def test_a_complete_store_is_returned_and_not_computed_again(tmp_path: Path):
     assert not seen
     assert {path: path.stat().st_mtime_ns for path in target.rglob("*")} == before
     assert again.attrs["job"] == SweepSpec.parse(SPEC).job_id(KERNEL_VERSION)
+
+
+@pytest.mark.parametrize("format", ["nc", "parquet", "json", "png"])
+def test_a_sweep_is_written_as_a_file(tmp_path: Path, format: str):
+    output = tmp_path / f"sweep.{format}"
+    line = {"along": "gamma", "omega": 0.6}
+    job = local.run_to_file(SPEC, output, format, line, progress=False)
+    assert (job.state, job.progress.cells_done) == ("done", 50)
+    assert list(tmp_path.iterdir()) == [output]
+    expected = local.run(SPEC, progress=False)
+    content = output.read_bytes()
+    match format:
+        case "nc":
+            with xarray.open_dataset(output, engine="h5netcdf") as written:
+                np.testing.assert_array_equal(written.flight_time, expected.flight_time)
+        case "parquet":
+            np.testing.assert_array_equal(
+                pyarrow.parquet.read_table(output)["bounces"], expected.bounces.values.ravel()
+            )
+        case "json":
+            bounces = expected.sel(omega=0.6).bounces.values.ravel().tolist()
+            assert from_json(content).bounces.values.tolist() == bounces
+        case "png":
+            assert content.startswith(b"\x89PNG")
 
 
 def test_thresholds_of_a_spring_need_no_service(python_client: Client, tmp_path: Path):

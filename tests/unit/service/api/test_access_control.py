@@ -137,6 +137,11 @@ def test_a_job_names_who_submitted_it(named: TestClient):
     assert ANA not in json.dumps(listed)
 
 
+@for_each("sent", [ANA[:-1], ANA + "x", f"ana: {ANA}", "ana", "", "auto"])
+def test_nothing_but_a_token_of_the_file_is_accepted(named: TestClient, sent: str):
+    assert submitted(named, sent, 0.3).status_code == 401
+
+
 # Settings
 
 

@@ -1,5 +1,6 @@
 """Basins: their specification, the attractors that are told apart, and what is stored, however it is cut."""
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -9,17 +10,21 @@ from typing import Any
 import numpy as np
 import paths
 import pytest
-from chunks import computed
+import xarray
+from chunks import computed, cut_finely, planned
 from tables import for_each
 
 from kernel.line import LineRun
 from kernel.params import STATE_FIELDS, Line, Outcome
+from worker import store, work
 from worker.basins.attractors import Attractor, Found, Request, find
 from worker.basins.schema import MAX_ATTRACTORS, basin_arrays, basin_sizes
 from worker.basins.starts import starts_of
-from worker.basins.task import _fill_in, entropies
+from worker.basins.task import _fill_in, entropies, run_chunk
 from worker.spec.errors import SpecError
 from worker.studies import parse
+from worker.study import ChunkOptions, ChunkPaused
+from worker.study.chunks import with_options
 from worker.study.layout import empty_record
 from worker.work import plate_of
 
@@ -167,6 +172,35 @@ def test_planes_of_starts():
     assert (contact[..., :4] == 0.0).all()
     np.testing.assert_allclose(contact[:, 0, 4], -0.25 / 1.27 + np.array([-5.0, 5.0]))
     np.testing.assert_allclose(contact[0, :, 5], np.array([-5.0, 5.0]) / 0.5)
+
+
+GRID = {"gamma": [1.1, 1.27, 3.6], "xi": [0.1, 0.26], "rows": 9, "columns": 8, "settle": 200}
+
+
+def test_a_chunk_that_pauses_again_and_again_gives_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    cut_finely(monkeypatch, 65_537)
+    looks = itertools.count()
+    monkeypatch.setattr(work.time, "thread_time", lambda: 0.02 * next(looks))  # and the same pauses
+    spec, url = basin(**GRID), str(tmp_path / "paused.zarr")
+    plan = planned(url, spec, (2, 1, 3))
+    done: list[int] = []
+    for attempt in itertools.count():
+        assert attempt < 5000
+        try:
+            with with_options(ChunkOptions(0.0)):
+                run_chunk(spec, plan[0], url)
+            break
+        except ChunkPaused:
+            kept = store.read_checkpoint(url, plan[0].index)
+            assert kept is not None
+            done.append(int(kept["done"]))
+    assert attempt > 2
+    assert done == sorted(done)
+    assert set(done) == set(range(6))  # of six cells; none is computed again
+    data = xarray.open_zarr(url, chunks=None).load()
+    xarray.testing.assert_identical(data, computed(str(tmp_path / "whole.zarr"), spec, (2, 1, 3)))
 
 
 def test_attractors_beyond_those_stored_are_counted_and_their_starts_undecided():
