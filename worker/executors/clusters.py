@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, Final
@@ -41,6 +41,8 @@ _ENDED: Final = frozenset({"closed", "closing", "failed"})
 LOOPBACK: Final = "127.0.0.1"
 #: OpenSSL's X509_V_FLAG_NO_CHECK_TIME, for which the module ssl has no name.
 _NO_CHECK_TIME: Final = 0x200000
+#: On Linux, the open files of this process by their number.
+_OWN_FILES: Final = "/proc/self/fd"
 #: Workers still running after CLOSE_SECONDS are killed, and those that replaced them after KILL_SECONDS.
 CLOSE_SECONDS, KILL_SECONDS = 1.5, 0.1
 #: Schedulers and workers always listen for HTTP; without routes they serve only an empty sitemap. Nobody sees
@@ -181,12 +183,28 @@ class CreatedCluster(Target):
 
 
 class _AtAnyTime(Security):
-    """TLS at any time of the clock, which may be set back: the certificate is valid from now, for a year."""
+    """TLS at any time of the clock, which may be set back: the certificate is valid from now, for a year.
+
+    Where Linux can, it is in no file: one for a moment, as distributed writes, is left by a process that is
+    killed then.
+    """
 
     def _get_tls_context(self, tls: Any, purpose: Any) -> Any:
-        context = super()._get_tls_context(tls, purpose)  # type: ignore[no-untyped-call]
+        with contextlib.ExitStack() as held:
+            if hasattr(os, "memfd_create") and Path(_OWN_FILES).is_dir():
+                tls = tls | {name: held.enter_context(_in_memory(tls[name])) for name in ("cert", "key")}
+            context = super()._get_tls_context(tls, purpose)  # type: ignore[no-untyped-call]
         context.verify_flags |= _NO_CHECK_TIME
         return context
+
+
+@contextlib.contextmanager
+def _in_memory(text: str) -> Iterator[str]:
+    """The name of a file in memory alone, for this process and within the block."""
+    with os.fdopen(os.memfd_create("tls"), "w") as file:
+        file.write(text)
+        file.flush()
+        yield f"{_OWN_FILES}/{file.fileno()}"
 
 
 class LocalWorkers(Target):

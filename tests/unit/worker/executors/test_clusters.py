@@ -3,6 +3,8 @@
 import asyncio
 import json
 import logging
+import os
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,3 +142,13 @@ def test_only_workers_that_are_gone_are_called_lost(
         asyncio.run(refill())
     messages = [f"{lost} workers are lost; starting others"] if lost else []
     assert caplog.messages == messages
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="needs Linux")
+def test_the_certificate_of_local_workers_is_in_no_file_for_a_killed_process_to_leave(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    security = clusters._AtAnyTime.temporary()  # type: ignore[no-untyped-call]
+    for role in ("scheduler", "worker", "client"):
+        assert security.get_connection_args(role)["ssl_context"] is not None
