@@ -41,6 +41,8 @@ def first_proven(*ways: Callable[[], Result]) -> Result:
     """The result of the first way that succeeds, each with more and more bits. Raises `NotProvenError`."""
     failed = NotProvenError("no way was given")
     for prove, bits in product(ways, PRECISIONS):
+        if bits > PRECISIONS[0] and failed.verdict != "not proven":
+            continue  # more bits cannot change it
         with _ONE_PROOF, ctx.workprec(bits):
             try:
                 return prove()

@@ -70,3 +70,15 @@ def test_threads_prove_one_after_another_and_leave_the_precision_as_it_was():
         thread.join()
     assert sorted(seen) == sorted(8 * PRECISIONS)
     assert ctx.prec == before
+
+
+def test_more_bits_are_tried_only_where_nothing_is_decided():
+    seen = []
+
+    def fails(verdict):
+        seen.append((verdict, ctx.prec))
+        raise NotProvenError("it", verdict)
+
+    with pytest.raises(NotProvenError):
+        first_proven(lambda: fails("disproven"), lambda: fails("not proven"))
+    assert seen == [("disproven", PRECISIONS[0]), *(("not proven", bits) for bits in PRECISIONS)]
