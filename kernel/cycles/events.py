@@ -160,8 +160,9 @@ def flight_times(
     whole = TWO_PI * periods
     h = min(whole / points, resolution / rate)
     if whole / h > most:
-        fitting = omega * whole / h / most  # the frequencies of the spring are as 1/omega
-        rule = f"must be at least about {fitting:.2g} for cycles of {periods} plate periods, got {omega:g}"
+        # the frequencies of the spring are as 1/omega; 1 % more, so that the rounded number works
+        fitting = 1.01 * omega * (rate - 1.0) / (resolution * most / whole - 1.0)
+        rule = f"must be at least about {fitting:.3g} for cycles of {periods} plate periods, got {omega:g}"
         raise KernelInputError("omega", f"{rule}: a branch has at most {most:,} points")
     fastest = b + np.sqrt(max(b * b - 2.0 * w, 0.0))
     finest = min(h, resolution / max(fastest, 1e-300))

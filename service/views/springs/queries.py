@@ -77,15 +77,8 @@ def parse_modes(text: str) -> tuple[int, ...]:
 
 
 def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
-    """Number of flight times of a branch. Raises InvalidRequest above MAX_GRID, and if there is no branch."""
+    """Number of flight times of a branch. Raises InvalidRequest if it takes too many, or has none."""
     try:
-        needed = len(flight_times(omega, xi, periods, points))
+        return len(flight_times(omega, xi, periods, points, most=MAX_GRID))
     except KernelInputError as error:
         raise InvalidRequest.of(error.argument, error.rule) from error
-    if needed > MAX_GRID:
-        rule = (
-            f"1-{periods} at omega {omega:g} takes a branch of {needed:,} points; the limit is "
-            f"{MAX_GRID:,}: ask for fewer periods, or take a larger omega"
-        )
-        raise InvalidRequest.of("modes", rule)
-    return needed

@@ -51,12 +51,16 @@ def test_branches_are_the_same_at_once_and_by_the_workers(
     xarray.testing.assert_identical(again, answer)
 
 
-def test_long_branches_are_refused_before_they_are_computed(client: TestClient):
-    assert "the limit is 2,000" in refused(client, "/v1/orbits", 422, omega=0.01, xi=0.05)
+def test_long_branches_are_refused_and_the_omega_that_is_named_works(client: TestClient):
+    for omega in (1e-6, 0.038):
+        rule = refused(client, "/v1/orbits", 422, omega=omega, xi=0.05, modes="1-1")
+        named = rule.removeprefix("omega: must be at least about ").split()[0]
+        query: dict[str, Any] = {"omega": named, "xi": 0.05, "modes": "1-1"}
+        assert client.get("/v1/orbits", params=query).status_code in (200, 202)
     query = {"xi": 0.05, "omega_start": 0.01, "omega_stop": 0.5, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
+    assert "at most 2,000 points" in refused(client, "/v1/curves", 422, **query)
     query = {"omega": 0.01, "xi_start": 0.05, "xi_stop": 0.06, "modes": "1-1"}
-    assert "the limit is 2,000" in refused(client, "/v1/curves", 422, **query)
+    assert "at most 2,000 points" in refused(client, "/v1/curves", 422, **query)
 
 
 def test_branches_are_as_smooth_in_a_window(python_client: Client):
