@@ -11,7 +11,6 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
-import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from kernel.cycles.starts import stable_ranges, start_on_stable_cycle
@@ -224,12 +223,12 @@ class SweepSpec(Specification):
         if rest_length is None:
             return
         gamma, omega = self.axis_values("gamma"), self.axis_values("omega")
-        extremes = penetration_of(self.model, gamma[[-1, 0]], omega[[0, -1]])
-        with np.errstate(all="ignore"):  # a subnormal length gives depths of 0
-            low = rest_length * MIN_PENETRATION / extremes[0]
-            high = rest_length * MAX_PENETRATION / extremes[1]
+        unit = self.model.model_copy(update={"rest_length": 1.0})  # a subnormal one has depths of 0
+        per_length = penetration_of(unit, gamma[[-1, 0]], omega[[0, -1]])
+        low, high = MIN_PENETRATION / per_length[0], MAX_PENETRATION / per_length[1]
         if not low <= rest_length <= high:
-            depths = f"gives contacts {extremes[0]:.3g} to {extremes[1]:.3g} plate amplitudes deep"
+            shallow, deep = rest_length * per_length
+            depths = f"gives contacts {shallow:.3g} to {deep:.3g} plate amplitudes deep"
             allowed = f"allowed are {MIN_PENETRATION:g} to {MAX_PENETRATION:g}"
             low, high = 1.001 * low, 0.999 * min(high, MAX_REST_LENGTH)  # rounded, inside the limits
             remedy = f"{low:.4g} to {high:.4g} works" if low <= high else "narrow gamma or omega"

@@ -186,7 +186,7 @@ def test_the_steps_a_refusal_suggests_are_the_fewest_that_work(e, d, omega, xi, 
 @for_each(
     ("grid", "refused"),
     [({"gamma": [3.6, 4.1], "omega": [0.1, 7.0]}, 1e12), ({"gamma": [1.0, 3.0], "omega": 0.6}, 1e-9),
-     ({"gamma": 1.0, "omega": 1e-5}, 1.0)],
+     ({"gamma": 1.0, "omega": 1e-5}, 1.0), ({"gamma": 1.0, "omega": 1.0}, 5e-324)],
 )  # fmt: skip
 def test_both_rest_lengths_that_a_refusal_names_work(grid, refused):
     said = message(**grid, model={"rest_length": refused})
