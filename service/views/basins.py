@@ -109,7 +109,7 @@ def draw(result: xarray.Dataset, figure: Figure) -> None:
     draw_cells(axes, *sides, result.attractor_of_start.values, [UNDECIDED, *colours])
     for axis, side in ((axes.xaxis, result.column), (axes.yaxis, result.row)):
         units = "" if side.units == "1" else f" ({side.units})"
-        axis.set_label_text(f"{side.long_name}{units}")
+        axis.set_label_text(f"{side.long_name}{units}".replace("omega", "Ω"))
     axes.set_title(f"{values_at(result, reversed(AXES))}  ({result.attrs['model']})", fontsize=11)
     _legend(axes, result, colours)
 
