@@ -63,7 +63,7 @@ function drawDensity(ctx, box, { values, flight_time: times, keep }, cells, colo
     const column = first(((box.x.pixel(values[cell]) - box.left) / box.width) * width, width);
     for (let j = cell * keep; j < (cell + 1) * keep; j++) {
       if (!(times[j] >= low && times[j] <= high)) continue; // NaN is none
-      const row = first(height - 1 - ((log ? Math.log(times[j]) : times[j]) - bottom) * rows, height);
+      const row = first(height - ((log ? Math.log(times[j]) : times[j]) - bottom) * rows, height);
       for (let r = row; r < row + size; r++) {
         for (let c = column; c < column + size; c++) counts[r * width + c]++;
       }
