@@ -85,12 +85,13 @@ export function drawFrame(ctx, box, { x, y }) {
 }
 
 /** Ticks point inwards on both sides, as in the paper's figures; on the right there may be labels of plate periods instead. */
-function drawTicks(ctx, { x, y, left, top, width, height, narrow, theme, texts }, periods) {
-  const [right, bottom] = [left + width, top + height];
+function drawTicks(ctx, { x, y, left, top, width, height, narrow, ratio, theme, texts }, periods) {
+  const [right, bottom, end] = [left + width, top + height, ctx.canvas.width / ratio];
   for (const { value, text } of xTicks(ctx, x, width, theme, narrow ? 46 : 62)) {
     const px = clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5;
     polyline(ctx, theme.text, 1, [[px, bottom - 6], [px, bottom], null, [px, top], [px, top + 6]]);
-    texts.push({ text, x: px, y: bottom + 14, align: "center" });
+    const half = ctx.measureText(text).width / 2;
+    texts.push({ text, x: clamp(px, half, end - half), y: bottom + 14, align: "center" });
   }
   for (const { value, text } of yTicks(y, height)) {
     const py = clamp(Math.round(y.pixel(value)), top, bottom - 1) + 0.5;
