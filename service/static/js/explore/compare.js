@@ -55,9 +55,6 @@ export class Compare {
   #start(jobs) {
     this.sources = jobs.map((job, i) => sourceOf(job, i + 1));
     this.mapped = this.sources.filter(({ grid }) => grid.gamma.length > 1 && grid.omega.length > 1);
-    // The values that any of the sweeps has; each is shown at its own nearest one.
-    const merged = (lists) => lists.flat().sort((a, b) => a - b).filter((value, i, all) => !i || !isClose(value, all[i - 1]));
-    this.grid = Object.fromEntries(AXES.map((axis) => [axis, merged(this.sources.map(({ grid }) => grid[axis]))]));
     this.legend.replaceChildren(...this.sources.map((source) => legendEntry(numberedColour(source.number, theme().dark),
       h("a", { href: link(["job", source.job.id]) }, titleOf(source.job)),
       h("p", { className: "summary" }, summary(source.job), (source.state = h("span", {}))))));
@@ -81,6 +78,9 @@ export class Compare {
     this.leaving = new AbortController(); // of this layout
     const signal = AbortSignal.any([this.signal, this.leaving.signal]);
     const [View, sources] = [ON_MAPS[layout] ?? Diagram, layout === "maps" ? this.mapped : this.sources];
+    // The values that any of the sweeps shown has; each is shown at its own nearest one.
+    const merged = (lists) => lists.flat().sort((a, b) => a - b).filter((value, i, all) => !i || !isClose(value, all[i - 1]));
+    const grid = layout === "difference" ? sources[0].grid : Object.fromEntries(AXES.map((axis) => [axis, merged(sources.map((source) => source.grid[axis]))]));
     const groups = { overlay: [sources], difference: [sources.slice(0, 2)] }[layout] ?? sources.map((source) => [source]);
     this.legend.classList.toggle("uncoloured", layout !== "overlay");
     const isSide = groups.length > 1; // views side by side
@@ -95,7 +95,7 @@ export class Compare {
     };
     const others = (view) => this.views.filter((other) => other !== view);
     this.views = groups.map((group, i) => new View(roots[i], {
-      sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid: layout === "difference" ? this.sources[0].grid : this.grid, isFollower: i > 0,
+      sources: group, signal, compared: sources, bar: isSide ? null : this.controls, grid, isFollower: i > 0,
       prefix: isSide ? `${shortTitleOf(group[0].job)}:   ` : "", extent,
       onSelect: (cell, job) => navigate(["job", job.id, layout in ON_MAPS ? "modes" : "diagram"], cellQuery(cell)),
       onPoint: (view, x, y) => others(view).forEach((other) => other.follow(x, y)),

@@ -8,7 +8,7 @@ import { MEANING, SYMBOL, axisText, nearestIndex } from "../lib/physics.js";
 /** Sliders for `axes` of a view's grid, but not the one of its plot. An axis of one value has none: the plot's title shows it. */
 export function sliders(view, axes) {
   if (view.isFollower) return false;
-  const movable = axes.filter((axis) => view.valuesOf(axis).length > 1);
+  const movable = axes.filter((axis) => view.valuesOf(axis).length > 1 && view.compared.some(({ grid }) => grid[axis].length > 1));
   return movable.length > 0 && h("div", { className: "sliders" }, movable.map((axis) => slider(view, axis)));
 }
 
