@@ -751,7 +751,7 @@ def test_a_drag_with_shift_moves_the_window(showing: Any):
         page.wait_for_url(re.compile("x0=0.295&x1=0.495&"))
         page.mouse.move(box["x"] + 400, box["y"] + 300)
         page.mouse.dblclick(box["x"] + 400, box["y"] + 300)  # shows everything, and no cell
-        page.get_by_role("button", name="Show everything").wait_for(state="hidden")
+        page.get_by_role("button", name="Show all").wait_for(state="hidden")
         page.wait_for_timeout(500)
         assert page.locator(".trajectory").is_hidden()
 
@@ -932,7 +932,7 @@ def test_home_goes_to_the_first_cell_at_once_and_minus_undoes_plus(showing: Any)
         plot = page.locator(".panel .plot").first
         plot.press("Home")
         assert page.locator(".panel .readout").first.inner_text().startswith("Γ = 0.3 ")
-        everything = page.get_by_role("button", name="Show everything")
+        everything = page.get_by_role("button", name="Show all")
         for key, state in (("+", "visible"), ("-", "hidden")):
             plot.press(key)
             everything.wait_for(state=state)
@@ -990,7 +990,7 @@ def test_neighbours_on_a_fine_axis_have_different_texts_and_bounds_are_rounded_u
         page.mouse.up()
         page.wait_for_url(re.compile("x0="))
         assert 5e-7 < _width(page) < 2e-6
-        page.get_by_role("button", name="Show everything").click()
+        page.get_by_role("button", name="Show all").click()
         page.get_by_text("Table of what is shown").click()
         names = page.locator(".paged tbody th")
         wait_for(lambda: names.count() == len(gamma))

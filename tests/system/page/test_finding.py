@@ -271,7 +271,7 @@ def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: 
         table = pandas.read_csv(download(page.get_by_role("button", name="Download CSV").nth(1)))
         assert set(table.xi) == {0.1}
         page.go_back()
-        page.get_by_role("button", name="Show everything").first.wait_for(state="hidden")
+        page.get_by_role("button", name="Show all").first.wait_for(state="hidden")
         assert plots.count() == 3
 
 

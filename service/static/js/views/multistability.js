@@ -12,11 +12,12 @@ import { PlaneView, hatchAt, hatchSymbol, legendEntry } from "./cells.js";
 import { sliders } from "./controls.js";
 import { FLIGHT_AXIS } from "./plot-view.js";
 
+const modeOf = ({ kind, below, above }) => inSymbols({ mode: `${below} to ${above}`, birth: above }[kind] ?? below);
 const eventColumns = (values) => [
   ["Γ", ({ gamma_below: low, gamma_above: high }) => `${axisText(low, values)}–${axisText(high, values)}`],
-  ["event", ({ kind }) => kind],
+  ["event", (event, whole) => (whole ? event.kind : `${event.kind === "mode" ? "" : `${event.kind} of `}${modeOf(event)}`)],
   ["attractor", ({ attractor }) => String(attractor)],
-  ["mode", ({ kind, below, above }) => inSymbols({ mode: `${below} to ${above}`, birth: above }[kind] ?? below)],
+  ["mode", modeOf, true],
   ["leads to", ({ leads_to: other }) => (other ? String(other) : "")],
 ];
 

@@ -137,13 +137,13 @@ export class PlotView {
     const line = h("div", { className: "controls" }, controls);
     this.bar?.replaceChildren(line);
     const figure = h("figure", {});
-    this.unzoom = button("Show everything", () => this.#zoom(null), { hidden: !this.window });
+    this.unzoom = button("Show all", () => this.#zoom(null), { hidden: !this.window });
     const toggleLog = (toggled) => setQuery({ log: ["x", "y"].filter((axis) => this.log.includes(axis) !== (axis === toggled)).join("") || "none" });
     this.logButtons = ["x", "y"].map((axis) => button(`log ${axis}`, () => toggleLog(axis), { hidden: !this.windowed, disabled: true, title: `Logarithmic ${axis} axis` }));
     const compute = this.windowed && this.bar && !this.isCompared && button("Compute this window", () => this.#computeWindow(), { "data-service": true });
     const actions = (...buttons) => h("div", { className: "actions" }, buttons);
     const column = [ // the legend grows while cells are computed: what is above it stays where it is
-      this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint), this.unzoom, this.logButtons, compute), this.#downloads(),
+      this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint), this.logButtons, this.unzoom, compute), this.#downloads(),
       ...shown, this.measured?.elements, ...below, this.events?.element, this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", {}, column));

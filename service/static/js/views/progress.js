@@ -109,7 +109,7 @@ function rangeText(axis) {
 
 function protocolText({ kind, axis, direction, start, plane, rows, columns }) {
   if (kind === "rest") return "from rest";
-  if (kind !== "ramp") return `${kind === "orbits" ? "cycles" : kind}${plane ? `, ${columns} × ${rows} ${plane}s` : ""}`;
+  if (kind !== "ramp") return `${kind === "orbits" ? "cycles" : kind}${plane ? `, ${columns} × ${rows} ${plane === "drop" ? "drops" : "starts in contact"}` : ""}`;
   const from = start ? ` from the cycle (1, ${start.periods})` : "";
   return `ramp ${direction === "both" ? "up and down" : direction} along ${SYMBOL[axis]}${from}`;
 }
