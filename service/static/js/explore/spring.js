@@ -115,7 +115,7 @@ export class Explore extends Cycles {
       if (jump !== null) sentences.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
       if (down === null) sentences.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
       else sentences.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${cause}).`);
-    }
+    } else if (isOwn) sentences.push("Workers follow the cycles of this contact; the first ones compile its kernel.");
     this.words.textContent = inSymbols(sentences.join(" "));
   }
 

@@ -111,9 +111,8 @@ export class JobView {
 
   #onChange(job) {
     if (job.id !== this.id) return navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
-    Object.assign(this.job, job);
-    this.#describe();
-    this.#pollAfter(POLL_MS / 2);
+    this.summary.show(job); // the views follow when it is polled
+    this.#pollAfter(0);
   }
 
   #showTab() {
