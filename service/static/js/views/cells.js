@@ -62,8 +62,8 @@ export class PlaneView extends PlotView {
   /** The index of a cell in what is stored row by row. */
   indexOf = ({ column, row }) => row * this.columns.length + column;
 
-  isHidden(cell) {
-    return this.classes ? this.legend.hidden.has(this.classes.ofCell[this.indexOf(cell)]) : false;
+  classOf(cell) {
+    return this.classes.ofCell[this.indexOf(cell)];
   }
 
   columnsOfPlane() {

@@ -51,7 +51,8 @@ export class Diagram extends PlotView {
   #exponents() {
     const { left, width, x } = this.plot.box;
     const pointsOf = (line) => Array.from(line.values, (value, cell) => ({ line, cell, value, exponent: exponentOf(line, cell) }));
-    const points = this.lines.flatMap(pointsOf).filter((point) => Number.isFinite(point.exponent) && !this.isHidden(point));
+    const { hidden } = this.legend;
+    const points = this.lines.flatMap(pointsOf).filter((point) => Number.isFinite(point.exponent) && !hidden.has(this.classOf(point)));
     const [low, high] = points.reduce(([least, most], { exponent }) => [Math.min(least, exponent), Math.max(most, exponent)], [0, 0]);
     const margin = 0.08 * (high - low) || 0.1;
     return {
@@ -236,7 +237,7 @@ export class Diagram extends PlotView {
     return this.cellsInWindow().map(({ line, cell }) => line.first + cell);
   }
 
-  isHidden = ({ line, cell }) => this.legend.hidden.has(line.classes[cell]);
+  classOf = ({ line, cell }) => line.classes[cell];
 
   columnsOfTable() {
     const isOne = (valueOf) => new Set(this.lines.map(valueOf)).size < 2;

@@ -68,7 +68,7 @@ const requestFitting = (path, options) => requestDataset(path + (fitting.get(pat
  *   at(cell)         its position [x, y]
  *   describe(cell)   the cell in words, or a list of elements, if it is not what the table says of it
  *   cellOf(cell)     its {gamma, omega, xi, direction}
- *   cellsShown(), or cellsInWindow(), isHidden(cell); columnsOfTable()   of the table of what is shown (see PagedTable)
+ *   cellsShown(), or cellsInWindow(), classOf(cell); columnsOfTable()   of the table of what is shown (see PagedTable)
  *   windowed         optional; the axes of a sweep along x and y, of a window that can be computed
  *   measured         optional; points that are dropped on the page (see measured.js)
  *   marks()          optional; what else the pictures of the service lack, in words; false for what is not shown
@@ -182,7 +182,8 @@ export class PlotView {
   #updateLegend = debounced(ANNOUNCED_MS, () => this.signal.aborted || !this.isLoaded || this.showLegend());
 
   cellsShown() {
-    return this.cellsInWindow().filter((cell) => !this.isHidden(cell));
+    const hidden = this.classes && this.legend.hidden; // once: there may be a million cells
+    return this.cellsInWindow().filter((cell) => !hidden?.has(this.classOf(cell)));
   }
 
   isVisible(x, y = null) {
