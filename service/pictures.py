@@ -475,8 +475,7 @@ def draw_modes(ax: Axes, modes: xarray.Dataset) -> None:
 
 def _draw_threshold_curve(ax: Axes, modes: xarray.Dataset) -> list[Artist]:
     """Γ_th of Eq. 25 over Ω, for a legend if it is in view; across cells of one Ω or Γ what it is there."""
-    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()  # those of the cells
-    ax.set(xlim=(left, right), ylim=(low, high))
+    left, right, low, high = ax.axis(ax.axis())  # those of the cells
     omega = np.geomspace(low if low > 0.0 else high / LOG_RANGE, high, 2000)
     onsets = threshold(omega, modes.xi.item())
     if len(modes.omega) == 1:
@@ -484,10 +483,9 @@ def _draw_threshold_curve(ax: Axes, modes: xarray.Dataset) -> list[Artist]:
     elif len(modes.gamma) == 1:
         crossed = omega[1:][np.diff(onsets > modes.gamma.values)]
         onsets, omega = np.tile([left, right, np.nan], len(crossed)), crossed.repeat(3)
-    if not np.any((onsets >= left) & (onsets <= right)):
-        return []
     ax.plot(onsets, omega, color="white", linewidth=2.4)
-    return ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")  # type: ignore[return-value]
+    lines = ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")
+    return [*lines] if np.any((onsets >= left) & (onsets <= right)) else []
 
 
 def draw_cells(

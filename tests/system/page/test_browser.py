@@ -418,6 +418,7 @@ def test_a_comparison_follows_what_is_computed(browser: Any, tmp_path: Path):
             done = page.locator(".panel .plot[data-shown*='\"complete\":true']")
             held.let_go_until(lambda: done.count() == 1)
             page.locator(".compared li", has_text="running").wait_for(state="detached")
+            assert page.locator("#slider-xi").count() == 0  # each has one ξ
 
 
 def test_the_error_of_a_failed_sweep_is_shown_on_every_tab(browser: Any, tmp_path: Path):
@@ -1053,6 +1054,12 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(showing: Any, address:
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
+_COUNT_READINGS = """window.readings = 0;
+window.URLSearchParams = class extends URLSearchParams {
+    constructor(...given) { super(...given); window.readings += 1; }
+}"""
+
+
 def test_the_legend_of_a_map_hides_modes_and_has_shares_of_the_cells_shown(
     browser: Any, address: str, loop: str
 ):
@@ -1062,6 +1069,10 @@ def test_the_legend_of_a_map_hides_modes_and_has_shares_of_the_cells_shown(
         at_rest.click()
         wait_for(lambda: picture(page) != shown)
         page.wait_for_url(re.compile("hide="))
+        page.evaluate(_COUNT_READINGS)
+        page.get_by_text("Table of what is shown").click()
+        page.locator(".paged tbody tr").first.wait_for()
+        assert page.evaluate("window.readings") < 10  # of the address, not one per cell
         at_rest.click()
         wait_for(lambda: picture(page) == shown)
         page.evaluate("location.hash += '&x0=0.3&x1=0.4&y0=0.5&y1=0.7'")
@@ -1244,6 +1255,37 @@ def test_a_million_flights_do_not_block_the_page(browser: Any, address: str):
             "before => document.querySelector('.panel .plot canvas').toDataURL() !== before", arg=whole
         )
         assert longest_task(page) < SLOW_MS
+
+
+#: Where, in px, 5000 flights of 4.97 rad are drawn; and where the texts below a plot end.
+_DRAWN = """Promise.all(["flights", "frame", "colours"].map(
+    (name) => import(new URL(`static/js/plot/${name}.js`, location)))
+).then(([{ drawFlights }, frame, { theme }]) => {
+    const ctx = new OffscreenCanvas(300, 200).getContext("2d");
+    const y = { low: 0, high: 10, log: false, pixel: (value) => 200 - 20 * value };
+    const x = { low: 0, high: 300, pixel: (value) => value };
+    const box = { left: 0, top: 0, width: 300, height: 200, ratio: 1, x, y };
+    const values = Float64Array.from({ length: 100 }, (_, i) => 3 * i);
+    const flights = new Float64Array(5000).fill(4.97);
+    drawFlights(ctx, box, [{ values, keep: 50, flight_time: flights }], () => "#000000");
+    const { data } = ctx.getImageData(0, 0, 300, 200);
+    const rows = [...Array(200).keys()].filter((row) => data[1200 * row + 603]); // at x = 150
+    const content = { x: { label: "", low: 2.3, high: 2.3000000005 }, y: { label: "", low: 0, high: 1 } };
+    const plot = frame.boxOf(ctx, content, 300, 200, theme(), 1);
+    frame.drawFrame(ctx, plot, content);
+    const ends = plot.texts.filter(({ align }) => align === "center").flatMap(({ text, x }) => {
+        const half = ctx.measureText(text).width / 2;
+        return [x - half, x + half];
+    });
+    return [(rows[0] + rows.at(-1) + 1) / 2, Math.min(...ends), Math.max(...ends)];
+})"""
+
+
+def test_flights_and_texts_are_drawn_where_they_belong(browser: Any, address: str):
+    with opened(browser, address) as page:
+        row, left, right = page.evaluate(_DRAWN)
+    assert row == pytest.approx(200 - 20 * 4.97, abs=0.5)
+    assert -0.5 <= left < right <= 300.5
 
 
 # Accessibility and small screens

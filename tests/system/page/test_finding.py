@@ -190,7 +190,7 @@ def test_studies_are_told_apart_by_contact_exponents_and_plane(browser: Any, man
         "from rest · rigid, e 0 · 2 exponents",
         "from rest · soft, e 0.2, d 0.01",
         "from rest · soft, e 0.2, Λ 9, never pulling",
-        "basin, 48 × 32 contacts · soft, e 0.2, d 0.01",
+        "basin, 48 × 32 starts in contact · soft, e 0.2, d 0.01",
     ]
 
 

@@ -88,9 +88,8 @@ export function drawFrame(ctx, box, { x, y }) {
 function drawTicks(ctx, { x, y, left, top, width, height, narrow, ratio, theme, texts }, periods) {
   const [right, bottom, end] = [left + width, top + height, ctx.canvas.width / ratio];
   for (const { value, text } of xTicks(ctx, x, width, theme, narrow ? 46 : 62)) {
-    const px = clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5;
+    const [px, half] = [clamp(Math.round(x.pixel(value)), left, right - 1) + 0.5, ctx.measureText(text).width / 2];
     polyline(ctx, theme.text, 1, [[px, bottom - 6], [px, bottom], null, [px, top], [px, top + 6]]);
-    const half = ctx.measureText(text).width / 2;
     texts.push({ text, x: clamp(px, half, end - half), y: bottom + 14, align: "center" });
   }
   for (const { value, text } of yTicks(y, height)) {

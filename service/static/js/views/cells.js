@@ -62,9 +62,7 @@ export class PlaneView extends PlotView {
   /** The index of a cell in what is stored row by row. */
   indexOf = ({ column, row }) => row * this.columns.length + column;
 
-  classOf(cell) {
-    return this.classes.ofCell[this.indexOf(cell)];
-  }
+  classOf = (cell) => this.classes.ofCell[this.indexOf(cell)];
 
   columnsOfPlane() {
     const { gamma, omega } = this.grid;

@@ -50,9 +50,7 @@ export class Diagram extends PlotView {
   /** The largest Lyapunov exponent on the axis of the diagram, below it. */
   #exponents() {
     const { left, width, x } = this.plot.box;
-    const pointsOf = (line) => Array.from(line.values, (value, cell) => ({ line, cell, value, exponent: exponentOf(line, cell) }));
-    const { hidden } = this.legend;
-    const points = this.lines.flatMap(pointsOf).filter((point) => Number.isFinite(point.exponent) && !hidden.has(this.classOf(point)));
+    const points = this.cellsShown().map(({ line, cell }) => ({ line, value: line.values[cell], exponent: exponentOf(line, cell) })).filter(({ exponent }) => Number.isFinite(exponent));
     const [low, high] = points.reduce(([least, most], { exponent }) => [Math.min(least, exponent), Math.max(most, exponent)], [0, 0]);
     const margin = 0.08 * (high - low) || 0.1;
     return {

@@ -71,6 +71,8 @@ def legend(shown: xarray.Dataset) -> list[tuple[str, str]]:
 
 
 def test_every_start_is_a_pixel_in_the_colour_of_its_attractor(found: xarray.Dataset):
+    contact = found.column.assign_attrs(long_name="velocity times omega")
+    assert drawn(found.assign_coords(column=contact)).get_xlabel() == "velocity times Ω (rad)"
     (picture,) = drawn(found).collections
     assert np.array_equal(picture.get_array(), found.attractor_of_start)
     colours = [to_hex(colour) for colour in picture.cmap(picture.norm(np.arange(3)))]
