@@ -1054,9 +1054,11 @@ def test_the_mode_map_is_hatched_where_up_and_down_differ(showing: Any, address:
         assert page.get_by_text("Hysteresis: going up").count() == 0
 
 
-_COUNT_READINGS = """window.readings = 0;
-window.URLSearchParams = class extends URLSearchParams {
-    constructor(...given) { super(...given); window.readings += 1; }
+_COUNT_READINGS = """() => {
+    window.readings = 0;
+    window.URLSearchParams = class extends URLSearchParams {
+        constructor(...given) { super(...given); window.readings += 1; }
+    };
 }"""
 
 
@@ -1273,6 +1275,7 @@ _DRAWN = """Promise.all(["flights", "frame", "colours"].map(
     const content = { x: { label: "", low: 2.3, high: 2.3000000005 }, y: { label: "", low: 0, high: 1 } };
     const plot = frame.boxOf(ctx, content, 300, 200, theme(), 1);
     frame.drawFrame(ctx, plot, content);
+    ctx.font = `13px ${theme().serif}`;
     const ends = plot.texts.filter(({ align }) => align === "center").flatMap(({ text, x }) => {
         const half = ctx.measureText(text).width / 2;
         return [x - half, x + half];
