@@ -61,8 +61,6 @@ def command(name: str) -> click.Command:
                 similar = [_option_name(other) for other in parameters if field in other]
                 hint = f"; give {' and '.join(similar)}" if similar else ""
                 raise click.UsageError(f"{_option_name(field)} is only {where}{hint}")
-        if query.get("effort") is not None and not query.get("search"):
-            raise click.UsageError("--effort is only with --search")
         formats, printed = methods.RESULTS[name]
         file_format = None if output is None else options.output_format(output, formats, format)
         if data is not None and (job_id is None or file_format not in PICTURES):

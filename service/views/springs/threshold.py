@@ -28,7 +28,7 @@ from worker.analysis.prediction import (
     search_below,
 )
 from worker.spec.axes import Strict, values_of
-from worker.spec.contact_models import Contact, Rigid
+from worker.spec.contact_models import Contact, Rigid, Soft
 from worker.sweep import specification
 
 #: Number of springs whose thresholds are kept, the last used.
@@ -62,6 +62,13 @@ class SearchQuery(ContactQuery):
         bool, Field(description="search for what bounces below, by workers, seconds to minutes a spring")
     ] = False
     effort: Annotated[Number, Field(ge=0, le=100, description="0 to 100: 100 to 10,000 starts each")] = 50
+
+    def contact(self) -> Rigid | Soft | None:
+        """As of every spring. Raises InvalidRequest also for an effort without a search."""
+        default = SearchQuery.model_fields["effort"].default  # the client sends it
+        if self.effort != default and not self.search:
+            raise InvalidRequest.of("effort", "is of a search: add search")
+        return super().contact()
 
 
 class SpringQuery(SearchQuery):

@@ -261,7 +261,6 @@ def test_the_doctor_asks_the_service_on_the_folder(
         (["list", "--from", "yesterday"], 2, "must be a day such as 2026-11-25, not 'yesterday'"),
         (["orbits", "--direction", "up"], 2, "give --omega and --xi or the ID of a job"),
         (["difference", "0" * 32, "1" * 32], 2, "ID --other ID"),
-        (["threshold", "--omega", "1", "--xi", "0", "--effort", "10"], 2, "only with --search"),
         (["submit", __file__, "--budget", "5s", "--key", "a"], 2, "give one"),
         (["submit", __file__, "--budget", "5s", "--estimate"], 2, "give one"),
         (["run", __file__, "-o", "a.nc", "--omega", "1"], 2, "--omega is of a picture or table"),
