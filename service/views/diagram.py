@@ -79,10 +79,10 @@ def _branches(spec: SweepSpec, query: DiagramQuery) -> tuple[ModuleType, Any] | 
     if query.along != "gamma":
         line = query.model_dump(include={"along", *AXES, "direction"})
         return cell_orbits, cell_orbits.CellsQuery(**line)
-    model = spec.model
-    if not isinstance(model, Rigid | Soft | Stepped):
+    if not isinstance(spec.model, Rigid | Soft | Stepped):
         raise InvalidRequest.of("branches", "are of rigid, soft and stepped contacts")
     fixed = {axis: point.value for axis, point in selection.fixed_axes(spec, query).items()}
+    model = spec.model.exact
     own = model.model_dump(include={"restitution", "penetration", "adhesive"}) | {"model": model.kind}
     gamma = spec.axis_values("gamma")
     shown = gamma[_window(spec, query)].tolist()

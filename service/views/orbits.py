@@ -34,7 +34,7 @@ from worker import store
 from worker.analysis.cycles import MAX_BRANCHES, POINTS, FollowedCycles, Skipped, follow_cells
 from worker.orbits.schema import ARRAYS, KINDS
 from worker.orbits.specification import DIMS, OrbitsSpec
-from worker.spec.contact_models import Rigid, Soft
+from worker.spec.contact_models import Rigid, Soft, Stepped
 from worker.sweep import AXES, SweepSpec
 
 #: Estimated bytes of an answer.
@@ -59,15 +59,16 @@ class CellsQuery(Query):
 
 
 def contact_of(spec: SweepSpec) -> Rigid | Soft:
-    """The contact of a sweep, if its cycles can be followed. Raises InvalidRequest."""
-    rule = "cycles are followed of rigid and soft contacts"
-    if not isinstance(spec.model, Rigid | Soft):
+    """The contact of a sweep, solved exactly, if its cycles can be followed. Raises InvalidRequest."""
+    rule = "cycles are followed of rigid, soft and stepped contacts"
+    if not isinstance(spec.model, Rigid | Soft | Stepped):
         raise InvalidRequest.of("model", f"{rule}; the sweep's is {spec.model.kind}")
-    if isinstance(spec.model, Soft) and spec.model.rest_length is not None:
+    contact: Rigid | Soft = spec.model.exact
+    if isinstance(contact, Soft) and contact.rest_length is not None:
         raise InvalidRequest.of(
             "model", f"{rule} of one penetration; with a rest_length every cell has its own"
         )
-    return spec.model
+    return contact
 
 
 def _line(spec: SweepSpec, query: CellsQuery) -> tuple[tuple[str, ...], dict[str, selection.GridValue]]:

@@ -200,7 +200,7 @@ def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence
         if how == "cells":
             calls.append((predict_from_cells, spec, study.url, nearest.index, block, study.complete))
         elif how == "search":
-            calls.append((search_each, spec.model, values, nearest.value))
+            calls.append((search_each, orbits.contact_of(spec), values, nearest.value))
         else:
             calls.append((predict_each, values, nearest.value))
     return calls

@@ -364,7 +364,7 @@ def _on_cycle(model: Contact, cell: Cell, point: CyclePoint) -> tuple[Branch, ND
     """
     periods, time = point.periods, point.flight_time
     try:
-        if isinstance(model, Rigid | Soft):
+        if isinstance(model := model.exact, Rigid | Soft):
             state = None if point.state is None else np.array(point.state)
             own = own_cycle(model, cell, periods, state, time if model.has_own_cycles else None)
             if own is not None:

@@ -199,7 +199,7 @@ class Settled(NamedTuple):
         """The cycle near the cell's state on its branch, or None. A cell from rest is computed again."""
         cells = [np.full(1, value) for value in self.cell]
         state = run_cells(spec, cells, None).end_state[0] if self.state is None else self.state
-        cycle = cycle_from(plate_at(spec.model, *self.cell), self.cell, self.periods, state)
+        cycle = cycle_from(plate_at(spec.model.exact, *self.cell), self.cell, self.periods, state)
         return cycle if cycle is None or along == "gamma" else turned(cycle, along, self.cell.gamma)
 
     def skipped(self, reason: str) -> Skipped:
@@ -344,6 +344,7 @@ def _event_at(cycles: Cycles, x: Floats, tangent: Floats, kind: Kind | End) -> P
     return admissible(point) if happens(kind, point) else None
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def _test(kind: Kind, point: Point) -> float:
     """A function that is zero at an event of a kind; that of a fold is not where a segment vanishes."""
     return crossing(kind, point) / (point.times.min() if kind is Kind.FOLD else 1.0)

@@ -131,7 +131,7 @@ def predict_from_cells(
             settled, bouncing = lowest_cells(spec, url, (direction, xi, omega), complete)
             cycles = [cycle for cell in settled if (cycle := cell.cycle(spec)) is not None]
             if cycles or not is_ideal(spec.model):
-                answer = of_contact(spec.model, at_omega, at_xi, cycles)
+                answer = of_contact(spec.model.exact, at_omega, at_xi, cycles)
                 below = answer.down - bouncing
                 fold, window = answer.fold, sum(spec.window)
                 # just below a fold bouncing lasts longer than a window

@@ -115,6 +115,11 @@ class ContactFields(Strict):
         """Whether its cycles are followed by their segments, and are not those of an ideal plate."""
         return False
 
+    @property
+    def exact(self) -> Any:
+        """The same contact, solved exactly."""
+        return self
+
 
 def _side_by_side(in_lanes: float, alone: float, at_once: int) -> float:
     """The cost of a cell with `at_once` computed side by side, from the costs in full lanes and alone.
@@ -171,8 +176,13 @@ class _SoftContact(ContactFields):
         return self
 
     @property
+    def has_own_cycles(self) -> bool:
+        """With a rest length every cell has its own depth."""
+        return self.rest_length is None and self.restitution < 1.0
+
+    @property
     def exact(self) -> "Soft":
-        """The same contact, solved exactly; the tolerance of `auto` refers to it."""
+        """The tolerance of `auto` refers to it, and the cycles of `stepped` are its own."""
         return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
 
 
@@ -191,11 +201,6 @@ class Soft(_SoftContact):
         elastic = 1.0 + SOFT_ELASTIC_SHARE * min(self.restitution / SOFT_ELASTIC, 1.0)
         cost = _side_by_side(base + SOFT_DECADE_US * max(decades, 0.0), SOFT_ALONE_US, at_once)
         return cost * elastic * _period_share(omega)
-
-    @property
-    def has_own_cycles(self) -> bool:
-        """With a rest length every cell has its own depth."""
-        return self.rest_length is None and self.restitution < 1.0
 
 
 class Stepped(_SoftContact):

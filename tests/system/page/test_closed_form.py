@@ -177,8 +177,8 @@ def test_cycles_and_folds_of_a_soft_sweep_are_its_own(browser: Any, address: str
         assert "on a cycle of this contact" in page.locator(".trajectory header .note").inner_text()
     with opened(browser, f"{address}/#/job/{soft}/thresholds?xi=0.05&folds=1") as page:
         wait_for(lambda: len(branch_pixels(page)) > 200)
-    stepped = spec_of((0.5, 1.0, 6), 0.6, 0.05, window=(5, 5, 5), model={"kind": "stepped"})
-    with opened(browser, f"{address}/#/job/{done(address, stepped)}/diagram?branches=1") as page:
+    other = spec_of((0.5, 1.0, 6), 0.6, 0.05, window=(5, 5, 5), model={"kind": "soft", "rest_length": 9})
+    with opened(browser, f"{address}/#/job/{done(address, other)}/diagram?branches=1") as page:
         texts = page.locator(".panel .plot .texts", has_text="unstable, ideal plate")
         texts.wait_for(state="attached")
 

@@ -268,7 +268,8 @@ def test_cells_beyond_as_many_branches_as_are_followed_are_named(
 @for_each(("model", "own", "plate"), [
     ({"kind": "rigid"}, {"start": 1.5, "stop": 2.5}, ""),
     ({"kind": "rigid", "restitution": 0.3}, {"model": "rigid", "restitution": 0.3}, ""),
-    ({"kind": "stepped", "penetration": 1e-2}, {"start": 1.5, "stop": 2.5}, ", ideal plate"),
+    ({"kind": "stepped", "penetration": 1e-2}, {"model": "soft", "penetration": 1e-2}, ""),
+    ({"kind": "soft", "rest_length": 10}, {"start": 1.5, "stop": 2.5}, ", ideal plate"),
 ])  # fmt: skip
 def test_a_diagram_has_the_branches_of_its_contact_or_names_that_of_others(
     client: TestClient, python_client: Client, model: dict[str, Any], own: dict[str, Any], plate: str
@@ -334,7 +335,7 @@ def test_branches_along_xi_end_without_damping(python_client: Client):
 
 
 @for_each(("model", "rule"), [
-    ({"kind": "ball"}, "model: cycles are followed of rigid and soft contacts; the sweep's is ball"),
+    ({"kind": "ball"}, "model: cycles are followed of rigid, soft and stepped contacts; the sweep's is ball"),
     ({"kind": "soft", "rest_length": 10}, "with a rest_length every cell has its own"),
 ])  # fmt: skip
 def test_contacts_of_a_job_without_cycles_are_refused(
@@ -411,6 +412,7 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
     ({"omega": "0.5:0.6:267", "search": True}, "omega: must be fewer: 266 springs take"),
     ({"xi": "-1"}, "xi: must be"),
     ({"restitution": 0.3}, "model: is required with restitution"),
+    ({"effort": 10}, "effort: is of a search"),
 ])  # fmt: skip
 def test_grids_of_springs_are_checked(client: TestClient, query: dict[str, Any], rule: str):
     assert rule in refused(client, "/v1/thresholds", 422, **{"omega": "0.6", "xi": "0.05"} | query)
