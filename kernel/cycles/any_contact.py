@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
-from kernel.cycles.events import Branch, Events, Kind, branch, events_of, join_events
+from kernel.cycles.events import CROSSINGS, Branch, Events, Kind, branch, events_of, join_events
 from kernel.cycles.follow import POINTS, RANGE, ROUNDING, End, Event, Followed, ahead, follow, root, within
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
@@ -155,10 +155,12 @@ def both_ways(
 
     Each way ends as in `follow`, or where the cycle becomes a shorter one gone through more than once.
     """
-    up, after = up_to_shorter(follow(seed, 1.0, points=points, span=span, until=until))
+    first = seed if seed.rising >= 0.0 else seed.back()
+    up, after = up_to_shorter(follow(first, 0.0, points=points, span=span, until=until))
     if len(up) > 1 and up[-1] is up[0]:
         return Followed(up, after)
-    down, before = up_to_shorter(follow(seed, -1.0, points=points, span=span, until=until))
+    down, before = up_to_shorter(follow(first.back(), 0.0, points=points, span=span, until=until))
+    before = [event for event in before if event.point is not down[0] or event.kind not in CROSSINGS]
     if len(down) > 1 and down[-1] is down[0]:  # the way up ended where the way down went on
         return Followed(down, before)
     return Followed([*down[:0:-1], *up], [*before[::-1], *after])

@@ -93,7 +93,11 @@ class Point:
 
     def towards(self, way: Floats) -> "Point":
         """The cycle with a tangent that leans towards `way` (m,)."""
-        return self if self.tangent @ way > 0.0 else replace(self, tangent=-self.tangent)
+        return self if self.tangent @ way > 0.0 else self.back()
+
+    def back(self) -> "Point":
+        """The cycle with the opposite tangent."""
+        return replace(self, tangent=-self.tangent)
 
     def begun(self, j: int) -> "Point":
         """The same cycle, begun with segment j, where the gap must be zero."""

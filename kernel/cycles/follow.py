@@ -7,7 +7,6 @@ the cycle change, the branch goes on with the new ones (`kernel.cycles.changes`)
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from typing import Final, NamedTuple
@@ -114,7 +113,7 @@ def follow(
     branch returns to `point`. Any other end is an event whose kind is an `End`. crossings: those of CROSSINGS
     that are located.
     """
-    origin = point = point if point.rising * way >= 0.0 else replace(point, tangent=-point.tangent)
+    origin = point = point if point.rising * way >= 0.0 else point.back()
     line: list[Point] = []
     events: list[Event] = []
 
@@ -237,11 +236,13 @@ def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iter
     """The crossings of these kinds between neighbours. before: number of points before `line`."""
     tests = np.array([[crossing(kind, point) for kind in kinds] for point in line])
     with np.errstate(over="ignore", invalid="ignore"):
-        turned = tests[:-1] * tests[1:] < 0.0
+        turned = (tests[:-1] * tests[1:] < 0.0) | (tests[:-1] == 0.0)
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
         kind = kinds[which]
-        point = root(line[i], _reach(line[i], line[i + 1]), partial(crossing, kind))
+        point: Point | None = line[i]
+        if tests[i, which] != 0.0:
+            point = root(line[i], _reach(line[i], line[i + 1]), partial(crossing, kind))
         if point is not None and happens(kind, point):
             yield Event(kind, point, turns=kind is Kind.FOLD, after=before + int(i))
 

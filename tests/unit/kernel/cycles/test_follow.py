@@ -4,6 +4,8 @@ The numbers come from a separate implementation of this method and, for the fold
 return map; 5,000 simulated plate periods on either side of each showed that a stable cycle ends there.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from contacts import attracting, rigid, soft
@@ -15,6 +17,7 @@ from kernel.cycles.any_contact import (
     lies_on,
     passing,
     repeats,
+    turned,
     up_to_shorter,
 )
 from kernel.cycles.changes import doubled
@@ -118,6 +121,17 @@ def test_a_branch_passes_twice_beside_its_fold(above):
     assert sorted(point.stable for point in points) == [False, True]
     beside = min(line.points, key=lambda point: abs(point.parameter - fold))
     assert beside.cycles.at(beside.x, fold - above) is None
+
+
+def test_a_branch_begun_exactly_on_a_fold_goes_both_ways_and_has_the_fold():
+    (line,) = branches(soft(), 0.6, 0.05, 1)
+    fold = next(event.point for event in line.events if event.kind is FOLD)
+    seed = turned(fold, "omega", fold.parameter)
+    level = seed.tangent * (1.0 - seed.cycles.gradient(seed.x))  # no rounding left
+    whole = both_ways(replace(seed, tangent=level / np.linalg.norm(level)), (0.59, 0.61), 100)
+    assert [event.point.parameter for event in whole.events if event.kind is FOLD] == [0.6]
+    ends = [max(whole.points[end].flights) for end in (0, -1)]
+    assert min(ends) < max(fold.flights) < max(ends)
 
 
 def test_a_cycle_on_the_limit_is_on_the_branch():
