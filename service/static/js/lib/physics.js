@@ -140,8 +140,7 @@ export const hasCycles = ({ spec }) => ["rigid", "soft", "stepped"].includes(spe
 /** The contact whose cycles are followed, as a query has it; empty: those of an ideal plate, in closed form. */
 export function contactQuery({ kind, restitution, penetration, adhesive }) {
   if (kind === "rigid" && restitution > 0 && restitution < 1) return { model: kind, restitution };
-  const isSoft = ["soft", "stepped"].includes(kind) && penetration && restitution < 1; // steps approximate the exact one
-  return isSoft ? { model: "soft", restitution, penetration, adhesive } : {};
+  return ["soft", "stepped"].includes(kind) && penetration && restitution < 1 ? { model: "soft", restitution, penetration, adhesive } : {};
 }
 
 export const isIdeal = ({ kind, restitution }) => kind === "rigid" && !restitution;
