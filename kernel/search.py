@@ -215,7 +215,7 @@ class _Search:
             part = Fraction(number).limit_denominator(_LOCKED)
             locked = f"to {mode}" if mode else str(part) if abs(number - part) < _EXACTLY else ""
             what += f", locked {locked}" if locked else ""
-        return Searched(crept.cell.gamma, what, self.starts, crept.gone, number, error)
+        return Searched(crept.cell.gamma, what, self.starts, crept.gone or math.nan, number, error)
 
 
 def _first(point: Point) -> int:

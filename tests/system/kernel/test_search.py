@@ -30,6 +30,12 @@ def test_cycles_below_the_rule_are_found_and_followed_to_their_ends(omega, xi, e
     assert math.isnan(result.rotation)
 
 
+def test_a_torus_that_ends_as_a_long_cycle_has_no_gamma_at_which_it_was_seen_to_end():
+    result = search(rigid(0.0), 0.4555, 0.05, effort=0)
+    assert result.what == "a torus around (1,1), locked to (18,18)"
+    assert np.isnan(result.gone)
+
+
 def test_a_torus_is_carried_down_to_its_end():
     """A motion of its own descends there in steps of 2e-6 and less."""
     result = search(rigid(0.0), 0.35, 0.05, effort=0)
