@@ -210,27 +210,18 @@ class Transport:
 
         Waits for a busy service like `get`.
         """
-        with ExitStack() as opened:
 
-            def send() -> httpx2.Response:
-                return opened.enter_context(self._stream(path, query, DOWNLOAD_SECONDS))
-
-            response = outlast(send, away=0.0, busy=DOWNLOAD_SECONDS, shown=True)
+        def save(response: httpx2.Response) -> httpx2.Response:
             with complete_file(target) as file:
                 for block in response.iter_bytes():
                     file.write(block)
                 file.write(end)
+            return response
 
-    @contextmanager
-    def _stream(self, path: str, query: Query | None, seconds: float) -> Iterator[httpx2.Response]:
-        """A response whose body is read as it arrives, with at most `seconds` between two pieces."""
-        timeout = httpx2.Timeout(seconds, connect=CONNECT_SECONDS)
-        request = self._built("GET", path, query, None, timeout=timeout)
-        try:
-            with closing(self._send(request)) as response:
-                yield _checked(response if response.is_success else _whole(response))
-        except httpx2.RequestError as error:
-            raise self._failure(error, seconds) from None
+        delays = () if target.is_fifo() else RETRY_DELAYS  # the reader of a pipe has what came so far
+        limits = {"delays": delays, "seconds": DOWNLOAD_SECONDS}
+        send = partial(self._request, "GET", path, query, read=save, **limits)
+        outlast(send, away=0.0, busy=DOWNLOAD_SECONDS, shown=True)
 
     def _request(
         self,
@@ -240,17 +231,23 @@ class Transport:
         headers: Mapping[str, str] | None = None,
         body: bytes | None = None,
         delays: tuple[float, ...] = RETRY_DELAYS,
+        read: Callable[[httpx2.Response], httpx2.Response] = lambda response: _whole(response),
+        seconds: float | None = None,
     ) -> httpx2.Response:
-        """The response with its body, requested again after each of `delays` while the connection breaks."""
-        request = self._built(method, path, query, headers, content=body)
+        """The response as `read` leaves it, requested again after each of `delays` if the connection breaks.
+
+        seconds: at most between two pieces of the response, by default the client's timeout.
+        """
+        limit = {} if seconds is None else {"timeout": httpx2.Timeout(seconds, connect=CONNECT_SECONDS)}
+        request = self._built(method, path, query, headers, content=body, **limit)
         try:
             with closing(self._send(request)) as response:
-                return _checked(_whole(response))
+                return read(_checked(response)) if response.is_success else _checked(_whole(response))
         except httpx2.RequestError as error:
             if not (delays and isinstance(error, _CONNECTION_LOST)):
-                raise self._failure(error, self._timeout) from None
+                raise self._failure(error, seconds or self._timeout) from None
         time.sleep(delays[0])
-        return self._request(method, path, query, headers, body, delays[1:])
+        return self._request(method, path, query, headers, body, delays[1:], read, seconds)
 
     def _built(
         self, method: str, path: str, query: Query | None, headers: Mapping[str, str] | None, **options: Any
@@ -291,17 +288,21 @@ def _text(value: Any) -> Any:
 
 def _checked(response: httpx2.Response) -> httpx2.Response:
     """The response if it is a success or a 304; raises the exception of its status otherwise."""
-    if response.is_success or response.status_code == HTTPStatus.NOT_MODIFIED:
+    status, request, answered = response.status_code, response.request, response.headers
+    # A proxy asks to log in; pages of the service are attachments.
+    is_page = "text/html" in answered.get("Content-Type", "") and "Content-Disposition" not in answered
+    if status == HTTPStatus.NOT_MODIFIED or (response.is_success and not is_page):
         return response
-    status, request = response.status_code, response.request
     if status < 400:
-        raise UnexpectedAnswer(f"{request.url} answered {status}: not a bounce service")
+        raise UnexpectedAnswer(f"{request.url} answered {status}, not as a bounce service does")
     answer = f"{status} {response.reason_phrase}"
     if status in (HTTPStatus.BAD_GATEWAY, HTTPStatus.GATEWAY_TIMEOUT):  # as without the proxy
         raise Unanswered(str(request.url), f"a proxy said {answer}: repeat the request")
     try:
         document = json_object(response)
     except UnexpectedAnswer:  # a proxy answers in HTML
+        if status == HTTPStatus.NOT_FOUND:  # what it does not find may be there
+            raise
         document = {"detail": f"{request.url} answered {answer}"}
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
@@ -333,7 +334,7 @@ def json_object(response: httpx2.Response) -> dict[str, Any]:
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
-        raise UnexpectedAnswer(f"{response.request.url} did not answer as a bounce service does")
+        raise UnexpectedAnswer(f"{response.request.url} answered {response.status_code}, not as a bounce service does")
     return content
 
 

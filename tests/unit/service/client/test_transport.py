@@ -1,5 +1,6 @@
 """The client against a scripted HTTP server: what it sends, when, and what it makes of the answers."""
 
+import asyncio
 import gc
 import gzip
 import os
@@ -10,6 +11,7 @@ import sys
 import time
 import traceback
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,6 +35,7 @@ from service.client import (
     UnexpectedAnswer,
     transport,
 )
+from service.client.zarr_store import HTTPStore
 
 
 @pytest.fixture
@@ -59,7 +62,7 @@ def test_an_invalid_address_is_refused(url: str):
         Client(url)
 
 
-def test_after_a_lost_connection_all_but_a_deletion_is_repeated():
+def test_after_a_lost_connection_all_but_a_deletion_is_repeated(tmp_path: Path):
     """The same sweep is the same job; of two deletions, the second would tell of no such job."""
     with scripted(LOST, LOST, Answer(body=view())) as (server, client):
         assert client.job(ID).state == "running"
@@ -70,6 +73,9 @@ def test_after_a_lost_connection_all_but_a_deletion_is_repeated():
         assert [method for method, _, _ in server.requests] == ["POST"] * 4
     with scripted(Answer(body=view()), LOST) as (_, client), pytest.raises(ServiceUnreachable):
         client.job(ID).delete()
+    cut = Answer(200, b"half", Content_Length="8")
+    with scripted(Answer(body=view()), cut, LOST, Answer(200, b"complete")) as (_, client):
+        assert client.job(ID).export(tmp_path / "sweep.nc").read_bytes() == b"complete"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
@@ -230,6 +236,19 @@ NESTED = b'{"id": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 def test_another_program_at_the_address_is_recognised(answer: Answer):
     with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer):
         client.job(ID)
+
+
+@for_each("page", [Answer(200, b"log in", Content_Type="text/html"), Answer(404, b"default backend")])
+def test_a_page_of_a_proxy_is_neither_a_result_nor_a_missing_chunk(tmp_path: Path, page: Answer):
+    """A missing chunk would be read as fill values."""
+    with scripted(Answer(body=view()), page, page, page) as (_, client):
+        job = client.job(ID)
+        for read in (partial(job.export, tmp_path / "sweep.nc"), partial(job.result_file, "diagram", "csv")):
+            with pytest.raises(UnexpectedAnswer):
+                read()
+        with pytest.raises(UnexpectedAnswer):
+            asyncio.run(HTTPStore(job._transport, "/v1/zarr").exists("gamma/c/0"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_malformed_problem_documents_are_read_as_far_as_possible():
