@@ -8,7 +8,6 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from contextvars import ContextVar
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -95,16 +94,17 @@ class Processes:
     def __init__(self, count: int, warm: Callable[[], object] = _do_nothing) -> None:
         self._changed = threading.Condition()
         self._most, self._starting, self._warm = count, False, warm
+        self._failure: BaseException | None = None  # of the latest start
         self._idle: list[tuple[float, _Process]] = []  # idle since, the latest last
         self._started: set[_Process] = set()
         self._look: threading.Timer | None = None
         self._closed = False
 
     def start(self) -> None:
-        """Start the first process, before an answer needs it. Raises EOFError or OSError if it cannot."""
-        if self._starting or self._started:
-            return
-        self._put_back(self._take(), keep=True)
+        """Start a process, before an answer needs it, unless there is one."""
+        with self._changed:
+            if not (self._started or self._closed):
+                self._start_another()
 
     def run(self, function: Callable[..., Result], *arguments: Any) -> Result:
         process: _Process | None = None
@@ -126,16 +126,11 @@ class Processes:
             if process is not None:
                 self._put_back(process, keep)
             if client.left:
-                threading.Thread(target=self._start_again, daemon=True).start()
+                self.start()  # the next client need not wait for it
         if not succeeded:
             raise value
         result: Result = value
         return result
-
-    def _start_again(self) -> None:
-        """Start a process in place of one that was stopped: the next client need not wait for it."""
-        with suppress(EOFError, OSError):
-            self.start()
 
     def close(self) -> None:
         with self._changed:
@@ -146,34 +141,42 @@ class Processes:
             process.end()
 
     def _take(self) -> "_Process":
-        """An idle process or a new one. Raises EOFError or OSError if none can be started."""
+        """An idle process, or a new one if that comes first. Raises EOFError or OSError if none starts."""
         with self._changed:
-            self._changed.wait_for(
-                lambda: self._idle or (len(self._started) < self._most and not self._starting) or self._closed
-            )
-            if self._closed:
-                raise OSError("closed")
-            while self._idle:
-                _, idle = self._idle.pop()
-                if idle.is_alive():
-                    return idle
-                idle.end()
-                self._started -= {idle}
-            self._starting = True
-        process = None
+            while not self._closed:
+                while self._idle:
+                    _, idle = self._idle.pop()
+                    if idle.is_alive():
+                        return idle
+                    idle.end()
+                    self._started -= {idle}
+                if len(self._started) < self._most:
+                    self._start_another()
+                self._changed.wait()
+                if self._failure is not None and not self._idle:
+                    raise self._failure
+        raise OSError("closed")
+
+    def _start_another(self) -> None:
+        if not self._starting:
+            threading.Thread(target=self._begin, daemon=True).start()
+            self._starting, self._failure = True, None
+
+    def _begin(self) -> None:
+        """Start a process for the answer that takes it first."""
+        process = failure = None
         try:
             process = _Process()
             self._started.add(process)
             process.call(self._warm, ())
-        except BaseException:
+            self._put_back(process, keep=True)
+        except BaseException as error:  # noqa: BLE001 - raised in the threads that wait for it
+            failure = error
             if process is not None:
                 self._end(process)
-            raise
-        finally:
-            with self._changed:
-                self._starting = False
-                self._changed.notify()  # another one may start now
-        return process
+        with self._changed:
+            self._starting, self._failure = False, failure
+            self._changed.notify_all()  # another one may start now
 
     def _put_back(self, process: "_Process", keep: bool) -> None:
         """Free the process, or the place of one that is not to be kept."""

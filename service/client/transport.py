@@ -6,8 +6,8 @@ import re
 import ssl
 import time
 import weakref
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
@@ -206,10 +206,7 @@ class Transport:
             time.sleep(_pause(retry_after(response), left))
 
     def download(self, path: str, query: Query, target: Path, end: bytes = b"") -> None:
-        """GET into the file `target`, which is replaced once the download and `end` after it are complete.
-
-        Waits for a busy service like `get`.
-        """
+        """GET into the file `target`, replaced once it is complete with `end` after it. Waits like `get`."""
 
         def save(response: httpx2.Response) -> httpx2.Response:
             with complete_file(target) as file:
@@ -219,8 +216,7 @@ class Transport:
             return response
 
         delays = () if target.is_fifo() else RETRY_DELAYS  # the reader of a pipe has what came so far
-        limits = {"delays": delays, "seconds": DOWNLOAD_SECONDS}
-        send = partial(self._request, "GET", path, query, read=save, **limits)
+        send = partial(self._request, "GET", path, query, delays=delays, read=save, seconds=DOWNLOAD_SECONDS)
         outlast(send, away=0.0, busy=DOWNLOAD_SECONDS, shown=True)
 
     def _request(
@@ -231,18 +227,19 @@ class Transport:
         headers: Mapping[str, str] | None = None,
         body: bytes | None = None,
         delays: tuple[float, ...] = RETRY_DELAYS,
-        read: Callable[[httpx2.Response], httpx2.Response] = lambda response: _whole(response),
+        read: Callable[[httpx2.Response], httpx2.Response] | None = None,
         seconds: float | None = None,
     ) -> httpx2.Response:
-        """The response as `read` leaves it, requested again after each of `delays` if the connection breaks.
+        """The response, requested again after each of `delays` while the connection breaks.
 
-        seconds: at most between two pieces of the response, by default the client's timeout.
+        read: reads the body of a success. seconds: at most between two pieces, by default the timeout.
         """
         limit = {} if seconds is None else {"timeout": httpx2.Timeout(seconds, connect=CONNECT_SECONDS)}
         request = self._built(method, path, query, headers, content=body, **limit)
         try:
             with closing(self._send(request)) as response:
-                return read(_checked(response)) if response.is_success else _checked(_whole(response))
+                checked = _checked(response if response.is_success else _whole(response))
+                return (read or _whole)(checked)
         except httpx2.RequestError as error:
             if not (delays and isinstance(error, _CONNECTION_LOST)):
                 raise self._failure(error, seconds or self._timeout) from None
@@ -317,8 +314,7 @@ def _whole(response: httpx2.Response) -> httpx2.Response:
         content += block
         if len(content) > MAX_ANSWER_BYTES:
             raise UnexpectedAnswer(
-                f"{response.request.url} sends more than {MAX_ANSWER_BYTES // 2**20} MiB: not an answer of a "
-                "bounce service"
+                f"{response.url} sends more than {MAX_ANSWER_BYTES // 2**20} MiB, as no bounce service does"
             )
     of_transfer = ("content-encoding", "content-length", "transfer-encoding")
     headers = [pair for pair in response.headers.multi_items() if pair[0].lower() not in of_transfer]
@@ -329,12 +325,13 @@ def _whole(response: httpx2.Response) -> httpx2.Response:
 
 def json_object(response: httpx2.Response) -> dict[str, Any]:
     """The JSON object in the body. Raises UnexpectedAnswer for any other body."""
-    try:
+    content = None
+    with suppress(ValueError, RecursionError):
         content = json.loads(response.content)
-    except (ValueError, RecursionError):
-        content = None
     if not isinstance(content, dict):
-        raise UnexpectedAnswer(f"{response.request.url} answered {response.status_code}, not as a bounce service does")
+        raise UnexpectedAnswer(
+            f"{response.url} answered {response.status_code}, not as a bounce service does"
+        )
     return content
 
 
@@ -372,10 +369,9 @@ def _valid_url(url: str) -> str:
 
     Raises ServiceUnreachable if it is not an HTTP address, without any part that may be a password.
     """
-    try:
+    parsed = httpx2.URL()
+    with suppress(httpx2.InvalidURL):
         parsed = httpx2.URL(url)
-    except httpx2.InvalidURL:
-        parsed = httpx2.URL()
     if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo:
         raise ServiceUnreachable(re.sub("(?s).*@", "...@", url), "expected an address like http://HOST:PORT")
     return url.rstrip("/")

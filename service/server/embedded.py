@@ -13,7 +13,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -90,8 +90,6 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     with ExitStack() as stack:
         stack.enter_context(_stopped_by_signals())
         stack.enter_context(log_to_stderr(settings.log_level))
-        scheduler = settings.scheduler or settings.scheduler_file
-        log.info("%s", f"connecting to the scheduler {scheduler}" if scheduler else "starting workers")
         if settings.private:  # of this process and its workers, which is why `running` does not
             stack.callback(os.umask, os.umask(_PRIVATE_UMASK))
         complete, listener, executor = stack.enter_context(_prepared(settings, None))
@@ -178,6 +176,8 @@ def _prepared(
                 token = tokens.own_token(settings.data)
                 settings = settings.model_copy(update={"token": SecretStr(token)})
             if executor is None:
+                at = settings.scheduler or settings.scheduler_file
+                log.info("%s", f"connecting to the scheduler {at}" if at else "starting workers")
                 executor = stack.enter_context(closing(connected_cluster(settings, marker)))
         yield settings, listener, executor
 
@@ -251,5 +251,4 @@ def _create(name: str) -> Any:
 def _warm_answers(background: Processes) -> None:
     """Import the modules for answers, and start their first process, before the first request."""
     registry.warm()
-    with suppress(EOFError, OSError):  # the service was stopped meanwhile
-        background.start()
+    background.start()

@@ -104,11 +104,20 @@ def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
         assert not psutil.pid_exists(first)
 
 
-def test_idle_processes_end_by_one_thread_for_all_answers(monkeypatch: pytest.MonkeyPatch):
+def start_both(processes: Processes, folder: Path) -> None:
+    """Have two answers that end once both processes have started."""
+    go = folder / "go"
+    with ThreadPoolExecutor(2) as pool:
+        answers = pool.map(processes.run, [wait_for] * 2, [go.exists] * 2)
+        wait_for(lambda: len(processes._started) == 2 and not processes._starting)
+        go.touch()
+        list(answers)
+
+
+def test_idle_processes_end_by_one_thread_for_all_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(background, "IDLE_SECONDS", 2.0)
-    with closing(Processes(2)) as processes, ThreadPoolExecutor(2) as pool:
-        list(pool.map(processes.run, [time.sleep] * 2, [0.5] * 2))
-        assert len(processes._started) == 2
+    with closing(Processes(2)) as processes:
+        start_both(processes, tmp_path)
         before = threading.active_count()
         for _ in range(50):
             processes.run(abs, 1)
@@ -124,11 +133,28 @@ def note(folder: Path) -> None:
 
 
 def test_they_start_one_after_another_at_the_priority_of_the_service(tmp_path: Path):
-    with closing(Processes(2, partial(note, tmp_path))) as processes, ThreadPoolExecutor(2) as pool:
-        list(pool.map(processes.run, [time.sleep] * 2, [2.0] * 2))
-    first, second = sorted((json.loads(noted.read_text()) for noted in tmp_path.iterdir()), key=itemgetter(1))
+    with closing(Processes(2, partial(note, tmp_path))) as processes:
+        start_both(processes, tmp_path)
+    notes = (json.loads(noted.read_text()) for noted in tmp_path.glob("[0-9]*"))
+    first, second = sorted(notes, key=itemgetter(1))
     assert first[0] == second[0] == os.nice(0)
     assert first[2] <= second[1]
+
+
+def start_late(folder: Path) -> None:
+    """Start at once as the first process, as another one never."""
+    (folder / str(os.getpid())).touch()
+    wait_for(lambda: len(list(folder.iterdir())) == 1)
+
+
+def test_an_answer_takes_an_idle_process_while_its_own_starts(tmp_path: Path):
+    with closing(Processes(2, partial(start_late, tmp_path))) as processes, ThreadPoolExecutor(2) as pool:
+        first = processes.run(os.getpid)
+        busy = pool.submit(processes.run, time.sleep, 1.0)
+        wait_for(lambda: not processes._idle)
+        assert processes.run(os.getpid) == first
+        busy.result()
+        wait_for(lambda: len(processes._started) == 2)
 
 
 def test_they_end_when_closed_also_while_computing(tmp_path: Path):
