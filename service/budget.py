@@ -61,15 +61,14 @@ class Runner(Protocol):
         None if that cannot be read.
         """
 
-    def audit(self, spec: SweepSpec, seconds: float) -> str | None:
-        """Audit a complete sweep for at most `seconds`; the audit's sentence, None if it did not end."""
+    def audit(self, seconds: float) -> str | None:
+        """Audit the last complete level for at most `seconds`; the sentence, None if it did not end."""
 
 
 @dataclass(frozen=True)
 class Level:
     """A complete level."""
 
-    spec: SweepSpec
     steps: Steps
     cells: int
     seconds: float  # that the level took, also where it was complete before; 0 if that is not known
@@ -132,7 +131,7 @@ def within(
         took = clock() - now if earlier is None else earlier
         share = runner.changed() if answer.levels else None
         changed = "" if share is None else f" changed {100.0 * share:.3g} % of the picture"
-        answer.levels.append(Level(part, steps, cells(spec, steps), took))
+        answer.levels.append(Level(steps, cells(spec, steps), took))
         left = (budget - (clock() - began) - reserved) / MARGIN
         timed = [done for done in answer.levels if done.seconds > 0.0]
         if steps == WHOLE:
@@ -147,7 +146,7 @@ def within(
     ending = f"no audit within the time: less than {LEAST_AUDIT:g} s was left"
     if left >= LEAST_AUDIT:
         show(f"audit of the last level{changed and ', which'}{changed}", left)
-        answer.audit = runner.audit(answer.levels[-1].spec, left)
+        answer.audit = runner.audit(left)
         ending = answer.audit or "no audit within the time: it would have taken longer"
     show(ending, 0.0)
     return answer
@@ -194,7 +193,7 @@ def _thinning(steps: Steps) -> str:
     return f", {' and '.join(named)}" if named else ""
 
 
-def _part(step: Fraction | int) -> str:
-    values, kept = Fraction(step).as_integer_ratio()
+def _part(step: Fraction) -> str:
+    values, kept = step.as_integer_ratio()
     ending = {2: "nd", 3: "rd", 32: "nd"}.get(values, "th")
     return f"every {values}{ending}" if kept == 1 else f"{kept} of {values}"

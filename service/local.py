@@ -374,7 +374,7 @@ class _Runner:
             return changed(last, before)
         return None
 
-    def audit(self, spec: Any, seconds: float) -> str | None:
+    def audit(self, seconds: float) -> str | None:
         deadline = time.monotonic() + seconds
         study = stored(self._levels[-1].record, self._levels[-1].job)
         workers = self._executor.state().workers
@@ -421,7 +421,7 @@ class _Runner:
         return record
 
 
-def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool = False) -> None:
+def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool) -> None:
     """Raise FileExistsError for a folder with another study, whose results would be removed.
 
     levels: whether levels of the study may be there.

@@ -172,7 +172,7 @@ class Budget:
             return None
         return self._budgets.changed(last, before, COMPARING * (self.ends - time.monotonic()))
 
-    def audit(self, spec: SweepSpec, seconds: float) -> str | None:
+    def audit(self, seconds: float) -> str | None:
         job = self._budgets.ledger.find(self.answer or "")
         return None if job is None else self._budgets.audit(job, seconds)
 

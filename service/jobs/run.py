@@ -83,7 +83,7 @@ class ReadyQueue:
         self._popped.add(chunk)
         return chunk
 
-    def requeue(self, chunk: int, *, first: bool = False) -> None:
+    def requeue(self, chunk: int, *, first: bool) -> None:
         """Put a popped chunk that was not computed at the end of the queue, or before all others."""
         self._popped.discard(chunk)
         if self._can_run(chunk):

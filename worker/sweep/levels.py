@@ -28,8 +28,8 @@ FEWEST: Final = 5
 NEARLY: Final = 0.9
 
 #: The steps of a level along AXES.
-Steps = tuple[Fraction | int, ...]
-WHOLE: Final[Steps] = (1,) * len(AXES)
+Steps = tuple[Fraction, ...]
+WHOLE: Final[Steps] = (Fraction(1),) * len(AXES)
 
 
 def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
@@ -51,13 +51,13 @@ def steps_of(spec: SweepSpec, other: SweepSpec) -> Steps | None:
 
 def level_indices(spec: SweepSpec, steps: Steps) -> list[NDArray[np.int64]]:
     """The indices of a level's values on the axes of the sweep."""
-    return [_indices(n, Fraction(step)) for n, step in zip(spec.shape[1:], steps, strict=True)]
+    return [_indices(n, step) for n, step in zip(spec.shape[1:], steps, strict=True)]
 
 
 def cells(spec: SweepSpec, steps: Steps) -> int:
     """Number of cells of a level; each direction counts."""
     directions, *shape = spec.shape
-    return directions * math.prod(_values(n, Fraction(step)) for n, step in zip(shape, steps, strict=True))
+    return directions * math.prod(_values(n, step) for n, step in zip(shape, steps, strict=True))
 
 
 def finest(spec: SweepSpec, most: float, within: Steps | None = None) -> Steps | None:
@@ -89,7 +89,7 @@ def _levels(spec: SweepSpec, within: Steps | None) -> tuple[list[list[Fraction]]
             [Fraction(step) for step in STEPS if step == 1 or n > (FEWEST - 1) * step] for n in lengths
         ]
     else:
-        choices = [_parts(n, Fraction(step)) for n, step in zip(lengths, within, strict=True)]
+        choices = [_parts(n, step) for n, step in zip(lengths, within, strict=True)]
     pairs = zip(lengths, choices, strict=True)
     counts = [np.array([_values(n, step) for step in steps]) for n, steps in pairs]
     return choices, np.asarray(spec.shape[0] * math.prod(np.ix_(*counts)))

@@ -37,7 +37,7 @@ class StoresMarker:
         self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
         self._checked = float("-inf")
 
-    def claim(self, adopting: bool = False) -> None:
+    def claim(self, adopting: bool) -> None:
         """Mark the stores if the ledger has not marked them before, or if it adopts them.
 
         Raises LedgerUnusable if they are another ledger's. If the marker cannot be written, `fault` reports

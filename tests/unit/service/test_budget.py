@@ -39,18 +39,18 @@ class Simulated:
         return self.now
 
     def seconds(self, spec: SweepSpec) -> float:
-        return self.guess * cells(spec, (1, 1, 1)) * self.cell
+        return self.guess * cells(spec, WHOLE) * self.cell
 
     def is_done(self, spec: SweepSpec) -> bool:
         return spec in self.done
 
     def took(self, spec: SweepSpec) -> float:
-        return cells(spec, (1, 1, 1)) * self.cell
+        return cells(spec, WHOLE) * self.cell
 
     def compute(self, spec: SweepSpec, seconds: float) -> bool:
         if spec in self.done:
             return True
-        takes = self.wait + self.start + cells(spec, (1, 1, 1)) * self.cell
+        takes = self.wait + self.start + cells(spec, WHOLE) * self.cell
         self.wait = 0.0
         self.now += min(takes, seconds)
         return takes <= seconds
@@ -58,7 +58,7 @@ class Simulated:
     def changed(self) -> float:
         return 0.125
 
-    def audit(self, spec: SweepSpec, seconds: float) -> str | None:
+    def audit(self, seconds: float) -> str | None:
         self.now += 0.8 * seconds
         return "audited"
 
@@ -69,7 +69,7 @@ def test_a_budget_is_never_missed(cell, start, guess, budget):
     runner = Simulated(cell, start, guess)
     answer: Answer = within(SPEC, budget, runner, clock=runner.clock, began=-4.0)
     assert runner.now + 4.0 <= budget - 1.0 + 1e-9  # the end of a process takes a part of what its start took
-    grids = [cells(level.spec, (1, 1, 1)) for level in answer.levels]
+    grids = [level.cells for level in answer.levels]
     assert grids == sorted(set(grids))
 
 
@@ -119,9 +119,9 @@ def test_a_budget_whose_first_level_waited_for_other_work_is_used():
 def test_a_budget_begins_with_what_is_done():
     runner = Simulated(cell=1e-3, start=0.1, guess=1.0)
     first = within(SPEC, 20.0, runner, clock=runner.clock)
-    runner.done = [first.levels[-1].spec]
+    runner.done = [level(SPEC, first.levels[-1].steps)]
     again = within(SPEC, 20.0, runner, clock=runner.clock, known=first.levels[-1].steps)
-    assert again.levels[0].spec == first.levels[-1].spec
+    assert again.levels[0].steps == first.levels[-1].steps
     runner.done.append(SPEC)
     assert [each.steps for each in within(SPEC, 1.0, runner, clock=runner.clock).levels] == [WHOLE]
 
@@ -131,7 +131,7 @@ def test_a_longer_budget_that_begins_with_what_is_done_is_used(guess):
     """The done level tells the speed: the table may be too wrong to begin a finer one."""
     first = within(SPEC, 20.0, runner := Simulated(1e-3, 0.1, guess), clock=runner.clock).levels[-1]
     runner = Simulated(1e-3, 0.1, guess)
-    runner.done = [first.spec]
+    runner.done = [level(SPEC, first.steps)]
     assert within(SPEC, 60.0, runner, clock=runner.clock, known=first.steps).levels[-1].cells > 25_000
 
 
