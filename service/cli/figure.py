@@ -113,7 +113,7 @@ def tradeoff(output: str | None) -> None:
     use_cache()
     measured = [0]
     with display_elapsed(lambda: f"measured {measured[-1]} of {len(tradeoff.SETTINGS)} contacts"):
-        results = tradeoff.measure(tradeoff.SETTINGS, lambda number, _: measured.append(number))
+        results = tradeoff.measure(tradeoff.SETTINGS, measured.append)
     click.echo(table(results, ["cost"]), err=output == "-")
     if output and format:
         options.write_file(output, encoded(tradeoff.VIEW, None, results, format))

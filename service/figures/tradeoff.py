@@ -134,13 +134,12 @@ _ROWS: Final = (
 )
 
 
-def measure(settings: Sequence[Setting], show: Callable[[int, int], None]) -> xarray.Dataset:
-    """Measure settings in this process, one after another; calls `show` with those measured, and all."""
+def measure(settings: Sequence[Setting], show: Callable[[int], None]) -> xarray.Dataset:
+    """Measure settings in this process, one after another; calls `show` with the number measured."""
     rows = []
-    for i, setting in enumerate(settings):
-        show(i, len(settings))
+    for setting in settings:
         rows.append(_row(setting))
-    show(len(settings), len(settings))
+        show(len(rows))
     data = dict(zip((variable.name for variable in _ROWS), zip(*rows, strict=True), strict=True))
     attrs = {name: purpose.text for name, purpose in PURPOSES.items()}
     attrs["cells"] = f"{len(LINES) * CELLS_PER_LINE}, {_PERIODS} plate periods from rest"

@@ -15,15 +15,13 @@ from kernel.params import Outcome
 from service.pictures import SYMBOLS, Figure, draw_modes
 from service.views import selection
 from service.views.threshold import on_grid_of
-from service.views.variables import coordinate, dataset, row, variable
+from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import Estimate, Every, FirstDirection, Number, Query, View
 from worker.spec.specification import JobId
 from worker.study import Array
 from worker.sweep import AXES, SweepSpec
-from worker.sweep.schema import MODE_ARRAYS, OUTCOME, RECORD
 
 _PLANE: Final = ("omega", "gamma")
-_OF_CELLS: Final = (*(array for array in RECORD if array.name in MODE_ARRAYS), OUTCOME, selection.LABEL)
 _DIFFERS: Final = row(
     "differs", (), "|u1", "how the cell compares with the nearest one of the other sweep",
     flag_values=[0, 1, 2], flag_meanings="same_mode other_mode not_compared",
@@ -48,7 +46,7 @@ def _other(array: Array) -> Array:
     return array._replace(name=f"other_{array.name}", attrs=attrs)
 
 
-_ROWS: Final = (_DIFFERS, *_OF_CELLS, *map(_other, _OF_CELLS), *_MOVED)
+_ROWS: Final = (_DIFFERS, *selection.MODES, *map(_other, selection.MODES), *_MOVED)
 
 
 class DifferenceQuery(Query):
@@ -90,10 +88,9 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
     at = f"At ξ = {xi.value:g}, " if len(study.spec.axis_values("xi")) > 1 and both.any() else ""
-    rows = {array.name: array for array in _ROWS}
     return dataset(
-        {name: variable(_PLANE, values, rows[name]) for name, values in data.items()}
-        | {name: variable(("omega",), values[part], rows[name]) for name, values in moved.items()},
+        variables(_ROWS, data, _PLANE)
+        | variables(_ROWS, {name: values[part] for name, values in moved.items()}, ("omega",)),
         {"xi": coordinate("xi", xi.value), "direction": coordinate("direction", direction)}
         | {axis: coordinate(axis, study.spec.axis_values(axis)[part]) for axis in _PLANE},
         {
@@ -124,7 +121,7 @@ def changed(study: selection.Stored[SweepSpec], other: selection.Stored[SweepSpe
 
 def _same(own: selection.Arrays, theirs: selection.Arrays) -> tuple[list[str], NDArray[np.bool_]]:
     """The arrays of modes that both sweeps have, and the cells in which all of them are equal."""
-    compared = [array.name for array in _OF_CELLS if array.name in own and array.name in theirs]
+    compared = [array.name for array in selection.MODES if array.name in own and array.name in theirs]
     return compared, np.logical_and.reduce([own[name] == theirs[name] for name in compared])
 
 

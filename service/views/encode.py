@@ -30,7 +30,7 @@ COLUMNS: Final = 8
 ALIGNMENT: Final = 8
 
 
-def to_json(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
+def to_json(dataset: xarray.Dataset) -> bytes:
     """The form of `xarray.Dataset.to_dict` with the dtype of every variable. NaN and inf become null."""
     return orjson.dumps(_document(dataset, np.asarray), _for_json, orjson.OPT_SERIALIZE_NUMPY)
 
@@ -42,7 +42,7 @@ def _for_json(values: NDArray[Any]) -> Any:
     return np.ascontiguousarray(values, values.dtype.newbyteorder("="))
 
 
-def to_binary(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
+def to_binary(dataset: xarray.Dataset) -> bytes:
     """A line with the JSON document, then the arrays, little-endian.
 
     In the document the data of an array are {"offset", "shape"}, the offset in bytes from the end of the
@@ -86,7 +86,7 @@ def _dtype(dtype: np.dtype[Any]) -> str:
     return "str" if dtype.kind in "UOT" else dtype.name
 
 
-def to_netcdf(dataset: xarray.Dataset, rows: str | None = None) -> bytes:
+def to_netcdf(dataset: xarray.Dataset) -> bytes:
     """NetCDF 4. Booleans, which NetCDF lacks, become integers; only data of floats have a fill value."""
     written = dataset.copy()
     written.attrs = {name: int(x) if isinstance(x, bool) else x for name, x in dataset.attrs.items()}
@@ -177,9 +177,8 @@ def record_batch(columns: Mapping[str, Any]) -> Any:
     return pa.record_batch({**columns, **{name: pa.array(x, pa.string()) for name, x in objects.items()}})
 
 
-DATASETS: Final[dict[str, Callable[..., bytes]]] = {"json": to_json, "bin": to_binary, "nc": to_netcdf}
+DATASETS: Final = {"json": to_json, "bin": to_binary, "nc": to_netcdf}
 TABLES: Final[dict[str, Callable[..., bytes]]] = {"csv": to_csv, "parquet": to_parquet}
-ENCODERS: Final = {**DATASETS, **TABLES}
 
 
 #: The rows of a table: which places of the variable that defines them.

@@ -37,8 +37,7 @@ _PER_FILLED: Final = 64
 
 _PLANE: Final = ("omega", "gamma")
 _ROWS: Final = (
-    *(row for row in schema.RECORD if row.name in schema.MODE_ARRAYS), OUTCOME, selection.LABEL, COMPUTED,
-    schema.LYAPUNOV, schema.LYAPUNOV_ERROR, *schema.CERTIFICATE,
+    *selection.MODES, COMPUTED, schema.LYAPUNOV, schema.LYAPUNOV_ERROR, *schema.CERTIFICATE,
 )  # fmt: skip
 _HYSTERESIS: Final = row(
     "hysteresis", (), "|u1", "how the ramps up and down compare", flag_values=[0, 1, 2],

@@ -119,8 +119,9 @@ def encoded(view: View, study: Stored[Any] | None, result: Dataset, format: str)
     if view.draw is not None and format in PICTURES:
         origin = about if study is None else study.origin
         return encode.picture(view.size, partial(view.draw, result), format, origin)
-    rows = view.finer_rows if view.finer_rows in result else view.rows
-    return encode.ENCODERS[format](result, rows)
+    if format in encode.DATASETS:
+        return encode.DATASETS[format](result)
+    return encode.TABLES[format](result, view.finer_rows if view.finer_rows in result else view.rows)
 
 
 def warm() -> None:

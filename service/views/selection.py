@@ -55,6 +55,9 @@ LABEL: Final = Array(
     },
 )  # fmt: skip
 
+#: The variables of a cell's mode, and its label.
+MODES: Final = (*(row for row in schema.RECORD if row.name in MODE_ARRAYS), schema.OUTCOME, LABEL)
+
 
 @dataclass(frozen=True)
 class Stored(Generic[_Spec_co]):

@@ -18,7 +18,7 @@ from service.pictures import IDEAL, Figure, draw_incomplete, draw_thresholds
 from service.views import orbits, selection
 from service.views.springs.queries import name_of
 from service.views.springs.threshold import predicted
-from service.views.variables import coordinate, dataset, row, variable
+from service.views.variables import coordinate, dataset, row, variables
 from service.views.view import AT_ONCE_SECONDS, Call, Estimate, Number, Query, View
 from worker.analysis.bisection import TYPICAL_CELLS, Refined, Status, by_bisection, endless_rest, on_grid
 from worker.analysis.prediction import (
@@ -138,7 +138,7 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
     attrs |= query.model_dump(include={"tolerance", "gamma_start", "gamma_stop"}, exclude_none=True)
     window = selection.between(omega, query, "omega_start", "omega_stop")
     return dataset(
-        {row.name: variable(("omega",), data[row.name], row) for row in _ROWS if row.name in data},
+        variables(_ROWS, data, ("omega",)),
         {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},
         attrs,
     ).isel(omega=slice(window.start, window.stop))

@@ -13,7 +13,7 @@ CHEAP = [s for s in SETTINGS if s.purpose == "plate" and s.contact.kind != "step
 
 @pytest.fixture(scope="module")
 def measured() -> xarray.Dataset:
-    found = tradeoff.measure(CHEAP, lambda done, total: None)
+    found = tradeoff.measure(CHEAP, lambda done: None)
     return found.set_index(setting="contact")
 
 
@@ -49,5 +49,5 @@ def test_more_steps_reduce_the_error_at_the_scheme_s_order():
     """Second order: 2.5 times the steps, an error some 6 times smaller."""
     soft = Soft(penetration=1e-3).model_dump(exclude={"kind"})
     both = [Setting("adhesive", Stepped(**soft, steps_per_contact=n), locked=True) for n in (20, 50)]
-    twenty, fifty = tradeoff.measure(both, lambda done, total: None)["error"].values
+    twenty, fifty = tradeoff.measure(both, lambda done: None)["error"].values
     assert 3.0 < twenty / fifty < 15.0
