@@ -51,15 +51,10 @@ def plan_basins(
 
 def estimate_basins(spec: BasinSpec, plan: Plan) -> Cost:
     """Cost of a study, from the table of contact models."""
-    starts, sweep = spec.protocol.rows * spec.protocol.columns, _of_starts(spec)
+    starts = spec.protocol.rows * spec.protocol.columns
     runs = starts + RUNS_ON * min(starts, REPRESENTATIVES)
-    return Cost(
-        cells=plan.cells,
-        chunks=len(plan),
-        bytes=plan.cells * bytes_of(basin_arrays(spec), basin_sizes(spec)),
-        core_seconds=plan.cells * runs * cell_seconds(sweep) + CHUNK_SECONDS * len(plan),
-        longest_core_seconds=plan.cells * runs * longest_seconds(sweep, spec.until),
-    )
+    size = bytes_of(basin_arrays(spec), basin_sizes(spec))
+    return _cost(spec, plan, _of_starts(spec), runs, size)
 
 
 def plan_lines(
@@ -87,11 +82,16 @@ def plan_lines(
 
 def estimate_lines(spec: MultistabilitySpec, plan: Plan) -> Cost:
     """Cost of a study, from the table of contact models."""
-    runs, sweep = plan.cells * _runs(spec), spec.sweep()
+    return _cost(spec, plan, spec.sweep(), _runs(spec), _bytes_of_a_cell(spec))
+
+
+def _cost(spec: GridSpec, plan: Plan, sweep: SweepSpec, runs: float, size: int) -> Cost:
+    """Cost of cells of `size` bytes, each of `runs` runs of a cell of the sweep."""
+    runs *= plan.cells
     return Cost(
         cells=plan.cells,
         chunks=len(plan),
-        bytes=plan.cells * _bytes_of_a_cell(spec),
+        bytes=plan.cells * size,
         core_seconds=runs * cell_seconds(sweep) + CHUNK_SECONDS * len(plan),
         longest_core_seconds=runs * longest_seconds(sweep, spec.until),
     )
