@@ -333,7 +333,8 @@ def _stepped(
         "micro_flight": spec.micro_flight,
     }
     lines = [stored, *(to_end(_scalar_run(model, [cell], [start], **window)) for model in steppers(spec))]
-    own, coarse, fine = (_last(line, spec.micro_flight, bounces) for line in lines)
+    short = bounces and not np.any(stored.flight_time > spec.micro_flight)  # then all flights count
+    own, coarse, fine = (_last(line, 0.0 if short else spec.micro_flight, bounces) for line in lines)
     deviation, decided = np.inf, len(coarse) == len(fine)
     part = len(own) < bounces  # less than a cycle is kept
     if decided and (len(own) == len(fine) or (part and len(fine))):
