@@ -87,7 +87,9 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     data = {"differs": np.where(both, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
     moved, shared = _moved(study, other, xi.index, other_xi.index)
-    at = f"At ξ = {xi.value:g}, " if len(study.spec.axis_values("xi")) > 1 and both.any() else ""
+    xis = dict.fromkeys(f"{value:g}" for value in (xi.value, other_xi.value))
+    several = len(xis) > 1 or len(study.spec.axis_values("xi")) > 1
+    at = f"At ξ = {' against '.join(xis)}, " if several and both.any() else ""
     return dataset(
         variables(_ROWS, data, _PLANE)
         | variables(_ROWS, {name: values[part] for name, values in moved.items()}, ("omega",)),
@@ -108,15 +110,26 @@ def changed(study: selection.Stored[SweepSpec], other: selection.Stored[SweepSpe
     Of a sweep and a coarser one of the same axes it is how much of the coarser one's picture is wrong. None
     if a plane is too large to be read.
     """
-    spec = study.spec
-    if math.prod(spec.shape[2:]) > selection.MAX_READ:
+    spec, plane = study.spec, math.prod(study.spec.shape[2:])
+    if plane > selection.MAX_READ:
         return None
-    (near_xi, *near), _ = _nearest(spec, other.spec, axes=AXES)
-    names, found = selection.arrays_of_modes(spec, None), []
-    for direction, (xi, other_xi) in product(spec.directions, enumerate(near_xi)):
-        own = selection.recounted(spec, selection.read_direction(study, names, direction, {"xi": xi}), None)
-        found.append(1.0 - _same(own, _read_nearest(other, direction, int(other_xi), near))[1].mean())
-    return float(np.mean(found))
+    [near_xi, *near], _ = _nearest(spec, other.spec, axes=AXES)
+    differs, at_once = 0, selection.MAX_READ // plane
+    for direction, first in product(spec.directions, range(0, len(near_xi), at_once)):
+        xi = near_xi[first : first + at_once]
+        own = _modes_in(study, direction, first, first + len(xi))
+        theirs = _modes_in(other, direction, int(xi[0]), int(xi[-1]) + 1)
+        cells = np.ix_(xi - xi[0], *near)
+        _, same = _same(own, {name: values[cells] for name, values in theirs.items()})
+        differs += int(np.count_nonzero(~same))
+    return differs / math.prod(spec.shape)
+
+
+def _modes_in(study: selection.Stored[SweepSpec], direction: str, first: int, end: int) -> selection.Arrays:
+    """The `recounted` arrays of some planes, which are read at once: chunks hold several."""
+    names = selection.arrays_of_modes(study.spec, None)
+    arrays = selection.read_direction(study, names, direction, {"xi": slice(first, end)})
+    return selection.recounted(study.spec, arrays, None)
 
 
 def _same(own: selection.Arrays, theirs: selection.Arrays) -> tuple[list[str], NDArray[np.bool_]]:

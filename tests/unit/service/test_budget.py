@@ -12,6 +12,7 @@ from studies import spec_of
 from kernel.params import KERNEL_VERSION
 from service import local
 from service.budget import Answer, within
+from service.views import selection
 from service.views.difference import changed
 from service.views.registry import stored
 from service.views.selection import Stored
@@ -95,7 +96,8 @@ def test_a_level_says_how_much_of_the_picture_the_last_one_changed():
     assert changes == [False, False] + (len(levels) - 1) * [True] + [False]
 
 
-def test_the_picture_that_a_level_changed_is_counted_over_all_its_cells(tmp_path: Path):
+def test_the_picture_that_a_level_changed_is_counted_over_all_its_cells(tmp_path: Path, monkeypatch):
+    """Planes are read together: one by one, many take longer to compare than to compute."""
     fine = SweepSpec(**spec_of((0.4, 2.0, 24), [0.5, 0.55, 0.6, 0.65], [0.05, 0.1], ramp="both"))
     studies, results = list[Stored[SweepSpec]](), []
     for spec in (fine, level(fine, (1, 3, 5))):
@@ -107,7 +109,13 @@ def test_the_picture_that_a_level_changed_is_counted_over_all_its_cells(tmp_path
     names = ("outcome", "bounces", "periods")
     differs = np.logical_or.reduce([own[name].values != near[name].values for name in names])
     assert 0.0 < differs.mean() < 1.0
-    assert changed(*studies) == pytest.approx(differs.mean(), abs=1e-12)
+    read, reads = selection.read_direction, []
+    monkeypatch.setattr(selection, "read_direction", lambda *asked: reads.append(asked) or read(*asked))
+    for most, blocks in ((selection.MAX_READ, 1), (4 * 24, 2)):
+        monkeypatch.setattr(selection, "MAX_READ", most)
+        assert changed(*studies) == pytest.approx(differs.mean(), abs=1e-12)
+        assert len(reads) == 2 * 2 * blocks  # of both sweeps in both directions
+        reads.clear()
 
 
 def test_a_budget_whose_first_level_waited_for_other_work_is_used():

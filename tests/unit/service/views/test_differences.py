@@ -24,6 +24,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
         ends = [job.threshold(xi=0.26, predict="none").up.values for job in (first, second)]
         alone = third.difference(first.id)
         same = third.difference(third.id)
+        damped = client.submit(line | {"xi": 0.3}).wait(progress=False).difference(third.id)
         thinned = first.difference(second.id, xi=0.26, every=3)
         apart = client.submit(own | {"gamma": 4.0, "xi": 0.26}).wait(progress=False).difference(second.id)
         drawn = first.result_file("difference", "svg", other=second.id, xi=0.26).decode()
@@ -57,6 +58,7 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
     assert apart.attrs["sentence"] == "No cell of this sweep is within the axes of the other."
     assert (alone.differs == 0).all()
     assert "other_label" not in alone
+    assert damped.attrs["sentence"].startswith("At ξ = 0.3 against 0.26, ")
     assert same.attrs["sentence"] == "100 % of the cells have the same mode; no threshold in both moves."
 
 
