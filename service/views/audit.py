@@ -45,11 +45,12 @@ _QUESTION: Final = (
     row("high", ("question",), "<f8", "most, with 95 % confidence"),
     row("largest", ("question",), "<f8", "largest deviation of flights", "rad"),
     row("covered", ("question",), "<f8",
-        "share of all cells within largest or aperiodic, at least, with 95 % confidence"),
+        "share of all cells within largest, aperiodic or filled in, at least, with 95 % confidence"),
 )  # fmt: skip
 _DEVIATION: Final = row(
     "deviation", ("coverage",), "<f8", "largest deviation of this share of all cells", "rad",
-    comment="with 95 % confidence; aperiodic cells count as within, undecided as beyond; infinite: too few",
+    comment="with 95 % confidence; aperiodic and filled-in cells count as within, undecided as beyond; "
+    "infinite: too few",
 )  # fmt: skip
 _OF_SWEEP: Final = (
     row(
@@ -145,7 +146,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
         "outcome": coordinate("outcome", names, long_name="outcome stored"),
         "true_outcome": coordinate("true_outcome", names, long_name="outcome computed again"),
     }
-    sentence = _sentence(answers, deviation, certified, tolerance)
+    sentence = _sentence(answers, deviation, certified, tolerance, fills_in=study.spec.fills_in)
     attrs = {"sentence": sentence, "seed": query.seed,
              "tolerance": tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
@@ -203,13 +204,13 @@ _Table = Mapping[str, Any]  # FIELDS as arrays (n,)
 
 
 def table_of(parts: Sequence[Mapping[str, Any]]) -> _Table:
-    """The cells of all parts: `repeating` at rest or periodic, deviations of -1 infinite, of -2 `unknown`."""
+    """The cells of all parts: `repeats` at rest or periodic, deviations of -1 infinite, of -2 `unknown`."""
     dtypes = {"deviation": np.float64, "undecided": bool}
     columns = {name: [x for part in parts for x in part[name]] for name in audit.FIELDS}
     table = {name: np.array(column, dtypes.get(name)) for name, column in columns.items()}
     deviation = table["deviation"]
     table["unknown"] = deviation == -2.0
-    table["repeating"] = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
+    table["repeats"] = np.isin(table["true_outcome"], (Outcome.AT_REST, Outcome.PERIODIC))
     deviation[deviation == -1.0] = np.inf
     deviation[table["unknown"]] = np.nan
     return table
@@ -225,8 +226,8 @@ def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
         "mode": outcome
         | (table["bounces"] != table["true_bounces"])
         | (table["periods"] != table["true_periods"]),
-        "flights": deviates & table["repeating"],
-        "distribution": deviates & ~table["repeating"],
+        "flights": deviates & table["repeats"],
+        "distribution": deviates & ~table["repeats"],
         "label": table["label"] != table["true_label"],
     }
 
@@ -234,7 +235,7 @@ def _masks(table: _Table, tolerance: float) -> dict[str, Any]:
 def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled: bool) -> dict[str, _Answer]:
     """The answers of a random sample of the cells that are not certified, scaled to all cells."""
     rest = sizes["cells"] - sizes["certified"]
-    weight, repeating = rest / sizes["cells"], table["repeating"]
+    weight, repeating = rest / sizes["cells"], table["repeats"]
     unknown = {"flights": table["unknown"] & repeating, "distribution": table["unknown"] & ~repeating}
     answers = {
         name: _answer(changed, table["undecided"] | unknown.get(name, False), rest, weight)
@@ -252,7 +253,7 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
     """The deviations, rad, within which COVERAGES of all cells lie, by a sample of the uncertified ones."""
     rest, sampled = sizes["cells"] - sizes["certified"], len(table["outcome"])
     weight = rest / sizes["cells"]
-    deviation = np.where(table["repeating"], np.nan_to_num(table["deviation"], posinf=inf), 0.0)
+    deviation = np.where(table["repeats"], np.nan_to_num(table["deviation"], posinf=inf), 0.0)
     own = np.sort(np.where(_may_deviate(table), inf, deviation)).tolist()
     values = [sizes["certified_error"], *np.maximum(own, sizes["certified_error"]), inf]
 
@@ -264,7 +265,7 @@ def _deviations(table: _Table, sizes: Mapping[str, Any]) -> list[float]:
 
 def _may_deviate(table: _Table) -> Any:
     """Which cells may deviate by anything: undecided ones, and repeating ones of unknown deviation."""
-    return table["undecided"] | (table["unknown"] & table["repeating"])
+    return table["undecided"] | (table["unknown"] & table["repeats"])
 
 
 def _modes(table: _Table) -> dict[str, list[Any]]:
@@ -314,7 +315,7 @@ def _of_integrator(table: _Table, sizes: Mapping[str, Any], tolerance: float) ->
 
 def _changed_cells(spec: SweepSpec, table: _Table, tolerance: float) -> dict[str, list[Any]]:
     masks = _masks(table, tolerance)
-    changed = np.flatnonzero(masks["mode"] | masks["flights"] | table["undecided"])
+    changed = np.flatnonzero(masks["mode"] | masks["flights"] | masks["distribution"] | table["undecided"])
     named = {
         "cell_set": [audit.SETS[i] for i in table["set"]],
         "cell_direction": [spec.directions[i] for i in table["direction"]],
@@ -333,14 +334,19 @@ def _mode_labels(table: _Table, prefix: str) -> list[str]:
 
 
 def _sentence(
-    answers: Mapping[str, Mapping[str, _Answer]], deviations: Any, certified: float, tolerance: float
-) -> str:
-    """The audit in words; deviations: of COVERAGES for each of `answers`, (answers, coverages)."""
+    answers: Mapping[str, Mapping[str, _Answer]], deviations: Any, certified: float, tolerance: float,
+    *, fills_in: bool,
+) -> str:  # fmt: skip
+    """The audit in words; deviations: of COVERAGES for each of `answers`, (answers, coverages).
+
+    fills_in: whether the sweep has cells without flights of their own.
+    """
+    such = "computed and repeating" if fills_in else "they repeat"
     sentences = []
     for (against, questions), deviation in zip(answers.items(), deviations, strict=True):
         mode, flights, others = (questions[name] for name in ("mode", "flights", "distribution"))
         is_part = against == "numerics" and certified
-        begins = f"{100.0 * certified:.3g} % of the cells are certified; " if is_part else ""
+        begins = f"{percent(certified, upper=False)} % of the cells are certified; " if is_part else ""
         begins += "computed longer, " if against == "numerics" else "with the exact contact, "
         drawn = "others drawn" if is_part else "drawn"
         sentences.append(
@@ -352,7 +358,7 @@ def _sentence(
         if finite.any():  # else no cell that repeats, or only such at rest
             share, most = COVERAGES[len(finite) - 1], finite[-1]
             at_most = f"deviate by at most {1.05 * most:.2g} rad"
-            sentences[-1] += f", {100.0 * share:g} % of the cells, if they repeat, {at_most}"
+            sentences[-1] += f", {100.0 * share:g} % of the cells, if {such}, {at_most}"
     area, followed = (answers["numerics"][name] for name in ("area", "integrator"))
     if area.sampled:
         drawn = f"{area.changed} of {area.sampled} drawn"

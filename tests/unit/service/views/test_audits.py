@@ -12,9 +12,10 @@ from scripted import Held
 from served import finished, service
 from studies import spec_of
 
+from benchmarks.audit import answered, census, drawn
 from kernel.params import Cell
 from service.local import computed
-from service.views.audit import _deviations, is_compiled
+from service.views.audit import QUESTIONS, _Answer, _deviations, _sentence, is_compiled
 from service.views.plan import settings_of
 from worker.analysis import audit
 from worker.analysis.audit import PARTS, SETS, look
@@ -79,6 +80,7 @@ def test_a_sentence_counts_flights_that_do_not_repeat(client: TestClient):
     said = "0 % flights that repeat and deviate by more than 0.001 rad"
     assert f"{said}, {int(100.0 * float(others.low))} to" in found.attrs["sentence"]
     assert "% others whose distribution does" in found.attrs["sentence"]
+    assert (found.cell_set == "numerics").sum() == others.changed  # listed
 
 
 def test_the_contact_of_a_hasty_choice_is_asked_for_beside_the_numerics(client: TestClient):
@@ -155,11 +157,26 @@ def test_no_share_of_cells_within_a_deviation_has_those_that_may_deviate_by_anyt
     flights = found.sel(question="flights")
     assert flights.undecided > 10
     assert flights.covered < 1.0 - flights.undecided / flights.sampled
-    sample = {"outcome": np.zeros(59), "repeating": np.ones(59, bool), "unknown": False}
+    sample = {"outcome": np.zeros(59), "repeats": np.ones(59, bool), "unknown": False}
     sizes = {"cells": 10_000, "certified": 0, "certified_error": 0.0}
     for undecided, of_95 in ((0, 58.0), (1, np.inf)):  # the rule of three: 59 of 59 cells
         first = {"deviation": np.arange(59.0), "undecided": np.arange(59) < undecided}
         assert _deviations(sample | first, sizes)[2:] == [of_95, np.inf]
+
+
+def test_the_benchmark_draws_audits_from_all_cells():
+    study, found = census(SweepSpec(**PLANE | {"gamma": [1.2, 1.6, 2.3], "omega": [0.5, 0.6]}), points=2)
+    said = answered(study, drawn(found, 1, np.random.default_rng(0)))
+    assert (said["mode"].sampled, answered(study, found)["mode"].high) == (1, 0.0)
+
+
+@pytest.mark.parametrize(("fills_in", "such"), [(False, "they repeat"), (True, "computed and repeating")])
+def test_a_sentence_says_no_more_than_is_known_of_all_cells(fills_in: bool, such: str):
+    """Some are not certified, and those filled in have no flights."""
+    questions = dict.fromkeys(QUESTIONS, _Answer(59, 0, 0, 0.0, 0.0, 0.0001))
+    said = _sentence({"numerics": questions}, np.ones((1, 4)), 0.9999, 1e-3, fills_in=fills_in)
+    assert said.startswith("99.9 % of the cells are certified")
+    assert f"99 % of the cells, if {such}, deviate by at most" in said
 
 
 def test_a_distribution_is_told_by_enough_flights(client: TestClient):
@@ -250,14 +267,14 @@ def test_a_plan_tells_what_a_budget_buys(client: TestClient):
 
 
 def test_a_plan_of_an_adaptive_map_costs_what_its_levels_cost():
-    """A coarser map computes a larger share of its cells."""
+    """A coarser map computes a larger share of its cells, and has fewer chunks than there are workers."""
     spec = SweepSpec(**spec_of((0.9, 6, 401), (0.2, 1.2, 401), 0.26, refine={"by": "mode"}))
 
     def cost(spec: SweepSpec) -> Any:
         return study_of(spec).estimate(spec, study_of(spec).plan(spec))
 
-    for setting in settings_of(spec, lambda _: 3.0, 2, study_of(spec).plan):
-        assert setting.seconds == cost(level(setting.spec, setting.steps)).at(3.0).core_seconds / 2
+    for setting in settings_of(spec, lambda _: 3.0, 64, study_of(spec).plan):
+        assert setting.seconds == cost(level(setting.spec, setting.steps)).at(3.0).seconds_on(64)
 
 
 def test_a_plan_compares_only_what_the_service_would_accept():
