@@ -83,8 +83,7 @@ def settings_of(
             except SpecTooLarge as error:
                 refusal = refusal or error
                 continue
-            seconds = taken.core_seconds / max(workers, 1)
-            chosen.append(Setting(whole, steps, seconds, taken.bytes, effort))
+            chosen.append(Setting(whole, steps, taken.seconds_on(workers), taken.bytes, effort))
     if refusal and not chosen:
         raise refusal
     return chosen
