@@ -49,8 +49,7 @@ _QUESTION: Final = (
 )  # fmt: skip
 _DEVIATION: Final = row(
     "deviation", ("coverage",), "<f8", "largest deviation of this share of all cells", "rad",
-    comment="with 95 % confidence; aperiodic and filled-in cells count as within, undecided as beyond; "
-    "infinite: too few",
+    comment="95 % confidence; within: aperiodic and filled-in cells, beyond: undecided; infinite: too few",
 )  # fmt: skip
 _OF_SWEEP: Final = (
     row(
@@ -146,8 +145,7 @@ def compute(study: Stored[SweepSpec], query: AuditQuery, *parts: Mapping[str, An
         "outcome": coordinate("outcome", names, long_name="outcome stored"),
         "true_outcome": coordinate("true_outcome", names, long_name="outcome computed again"),
     }
-    sentence = _sentence(answers, deviation, certified, tolerance, fills_in=study.spec.fills_in)
-    attrs = {"sentence": sentence, "seed": query.seed,
+    attrs = {"sentence": _sentence(answers, deviation, certified, tolerance), "seed": query.seed,
              "tolerance": tolerance, "model": study.spec.model.kind, "complete": True}  # fmt: skip
     return dataset(data, coords, attrs)
 
@@ -243,8 +241,7 @@ def _answers(table: _Table, sizes: Mapping[str, Any], tolerance: float, labelled
         if labelled or name != "label"
     }
     largest = float(np.nanmax(table["deviation"][repeating], initial=sizes["certified_error"]))
-    above = int(np.count_nonzero(_may_deviate(table)))
-    within = 1.0 - weight * (1.0 - covered(len(table["outcome"]), rest, above))
+    within = 1.0 - weight * (1.0 - covered(len(repeating), rest, int(_may_deviate(table).sum())))
     answers["flights"] = answers["flights"]._replace(largest=largest, covered=within)
     return answers
 
@@ -334,14 +331,9 @@ def _mode_labels(table: _Table, prefix: str) -> list[str]:
 
 
 def _sentence(
-    answers: Mapping[str, Mapping[str, _Answer]], deviations: Any, certified: float, tolerance: float,
-    *, fills_in: bool,
-) -> str:  # fmt: skip
-    """The audit in words; deviations: of COVERAGES for each of `answers`, (answers, coverages).
-
-    fills_in: whether the sweep has cells without flights of their own.
-    """
-    such = "computed and repeating" if fills_in else "they repeat"
+    answers: Mapping[str, Mapping[str, _Answer]], deviations: Any, certified: float, tolerance: float
+) -> str:
+    """The audit in words; deviations: of COVERAGES for each of `answers`, (answers, coverages)."""
     sentences = []
     for (against, questions), deviation in zip(answers.items(), deviations, strict=True):
         mode, flights, others = (questions[name] for name in ("mode", "flights", "distribution"))
@@ -356,9 +348,9 @@ def _sentence(
         )
         finite = deviation[np.isfinite(deviation)]
         if finite.any():  # else no cell that repeats, or only such at rest
-            share, most = COVERAGES[len(finite) - 1], finite[-1]
-            at_most = f"deviate by at most {1.05 * most:.2g} rad"
-            sentences[-1] += f", {100.0 * share:g} % of the cells, if {such}, {at_most}"
+            share, most = f"{100.0 * COVERAGES[len(finite) - 1]:g} %", f"{1.05 * finite[-1]:.2g} rad"
+            such = "if they have flights that repeat"  # a map's filled-in cells have none
+            sentences[-1] += f", {share} of the cells, {such}, deviate by at most {most}"
     area, followed = (answers["numerics"][name] for name in ("area", "integrator"))
     if area.sampled:
         drawn = f"{area.changed} of {area.sampled} drawn"
