@@ -73,16 +73,13 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     )
     direction = selection.directions_of(study.spec, query.direction)[0]
     ways = other.spec.directions
-    names = selection.arrays_of_modes(study.spec, None)
     part = slice(None, None, query.every)
-    indices: selection.Indices = {"xi": xi.index, "omega": part, "gamma": part}
-    own = selection.recounted(study.spec, selection.read_direction(study, names, direction, indices), None)
+    own = _modes_at(study, direction, {"xi": xi.index, "omega": part, "gamma": part})
     near, inside = _nearest(study.spec, other.spec, query.every)
     way = direction if direction in ways else ways[0]
     theirs = _read_nearest(other, way, other_xi.index, near)
-    common = both = np.logical_and.outer(*inside)
-    for arrays in (own, theirs):
-        both = both & (arrays["outcome"] != Outcome.MISSING)
+    common = np.logical_and.outer(*inside)
+    both = common & (own["outcome"] != Outcome.MISSING) & (theirs["outcome"] != Outcome.MISSING)
     compared, same = _same(own, theirs)
     data = {"differs": np.where(both, ~same, 2)} | {name: own[name] for name in compared}
     data |= {f"other_{name}": theirs[name] for name in compared}
@@ -114,22 +111,22 @@ def changed(study: selection.Stored[SweepSpec], other: selection.Stored[SweepSpe
     if plane > selection.MAX_READ:
         return None
     [near_xi, *near], _ = _nearest(spec, other.spec, axes=AXES)
-    differs, at_once = 0, selection.MAX_READ // plane
+    differs, at_once = 0, selection.MAX_READ // plane  # planes: a chunk holds several
     for direction, first in product(spec.directions, range(0, len(near_xi), at_once)):
         xi = near_xi[first : first + at_once]
-        own = _modes_in(study, direction, first, first + len(xi))
-        theirs = _modes_in(other, direction, int(xi[0]), int(xi[-1]) + 1)
-        cells = np.ix_(xi - xi[0], *near)
-        _, same = _same(own, {name: values[cells] for name, values in theirs.items()})
+        own = _modes_at(study, direction, {"xi": slice(first, first + len(xi))})
+        theirs = _modes_at(other, direction, {"xi": slice(int(xi[0]), int(xi[-1]) + 1)})
+        _, same = _same(own, {name: values[np.ix_(xi - xi[0], *near)] for name, values in theirs.items()})
         differs += int(np.count_nonzero(~same))
     return differs / math.prod(spec.shape)
 
 
-def _modes_in(study: selection.Stored[SweepSpec], direction: str, first: int, end: int) -> selection.Arrays:
-    """The `recounted` arrays of some planes, which are read at once: chunks hold several."""
+def _modes_at(
+    study: selection.Stored[SweepSpec], direction: str, indices: selection.Indices
+) -> selection.Arrays:
+    """The `recounted` arrays of some cells."""
     names = selection.arrays_of_modes(study.spec, None)
-    arrays = selection.read_direction(study, names, direction, {"xi": slice(first, end)})
-    return selection.recounted(study.spec, arrays, None)
+    return selection.recounted(study.spec, selection.read_direction(study, names, direction, indices), None)
 
 
 def _same(own: selection.Arrays, theirs: selection.Arrays) -> tuple[list[str], NDArray[np.bool_]]:
@@ -146,8 +143,7 @@ def _nearest(
     for axis in axes:
         values, theirs = spec.axis_values(axis)[::every], other.axis_values(axis)
         right = np.clip(np.searchsorted(theirs, values), 1, max(len(theirs) - 1, 1))
-        left = np.minimum(right, len(theirs)) - 1
-        right = np.minimum(right, len(theirs) - 1)
+        left, right = right - 1, np.minimum(right, len(theirs) - 1)
         near.append(np.where(values - theirs[left] <= theirs[right] - values, left, right))
         slack = selection.ROUNDING * max(abs(theirs[0]), abs(theirs[-1]))
         inside.append((values >= theirs[0] - slack) & (values <= theirs[-1] + slack))
@@ -159,17 +155,15 @@ def _read_nearest(
 ) -> selection.Arrays:
     """The `recounted` arrays at these rows and columns of a plane, read some rows at a time."""
     rows, columns = near
-    names = selection.arrays_of_modes(study.spec, None)
     at_once = max(1, selection.MAX_READ // (4 * len(study.spec.axis_values("gamma"))))
     parts, first = [], 0
     while first < len(rows):
         last = int(np.searchsorted(rows, rows[first] + at_once))
         low, high = int(rows[first]), int(rows[last - 1]) + 1
-        block = selection.read_direction(study, names, direction, {"xi": xi, "omega": slice(low, high)})
+        block = _modes_at(study, direction, {"xi": xi, "omega": slice(low, high)})
         parts.append({name: values[rows[first:last] - low][:, columns] for name, values in block.items()})
         first = last
-    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return selection.recounted(study.spec, arrays, None)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _moved(
@@ -217,8 +211,7 @@ def _sentence(
     elif not shared.all():
         threshold += f" at the {shared.sum()} of {shared.size} frequencies that both have"
     cells = "the cells" if both.all() else f"the cells that both have ({both.sum():,} of {both.size:,})"
-    share = 100.0 * same[both].mean()
-    share = share if same[both].all() else min(share, _LESS_THAN_ALL)
+    share = 100.0 if same[both].all() else min(100.0 * same[both].mean(), _LESS_THAN_ALL)
     return f"{share:.4g} % of {cells} have the same mode; {threshold}."
 
 

@@ -80,10 +80,9 @@ def settings_of(
             thinned = level(whole, steps)
             try:
                 taken = study_of(spec).estimate(thinned, check(thinned)).at(measured)
+                chosen.append(Setting(whole, steps, taken.seconds_on(workers), taken.bytes, effort))
             except SpecTooLarge as error:
                 refusal = refusal or error
-                continue
-            chosen.append(Setting(whole, steps, taken.seconds_on(workers), taken.bytes, effort))
     if refusal and not chosen:
         raise refusal
     return chosen

@@ -32,7 +32,7 @@ from kernel.params import Cell, Line, Outcome, Start, empty_line
 from worker import store
 from worker.analysis.bisection import Status, endless_rest, on_grid
 from worker.analysis.deviation import deviations, nearest, sorted_apart
-from worker.spec.contact_models import MIN_RESTITUTION, Auto, Contact, Soft, Stepped
+from worker.spec.contact_models import MIN_RESTITUTION, Contact, Soft, Stepped
 from worker.study import Chunk
 from worker.study.layout import CELL_DIMS, COMPUTED
 from worker.sweep import AXES, SweepSpec, schema
@@ -103,9 +103,7 @@ class _Drawn(NamedTuple):
 
 def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
     """The contact that a sweep approximates, for the question `model`; None if it computes that contact."""
-    if not isinstance(submitted.model, Auto | Stepped):
-        return None
-    exact = submitted.model.exact
+    exact: Contact | None = getattr(submitted.model, "exact", None)
     return None if spec.model == exact else exact
 
 
