@@ -326,7 +326,8 @@ def test_the_difference_of_two_sweeps_is_a_map_and_a_sentence(browser: Any, addr
         sentence = page.locator(".sentence", has_text="of the cells have the same mode")
         sentence.wait_for()
         said = re.fullmatch(
-            r"([\d.]+) % .*; no threshold in both moves(?: by more than ([\d.]+))?\.", sentence.inner_text()
+            r"At ξ = .* against .*, ([\d.]+) % .*; no threshold in both moves(?: by more than ([\d.]+))?\.",
+            sentence.inner_text(),
         )
         assert said is not None
         numbers = [float(text or 0) for text in said.groups()]
