@@ -103,7 +103,7 @@ class _Drawn(NamedTuple):
 
 def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
     """The contact that a sweep approximates, for the question `model`; None if it computes that contact."""
-    exact: Contact | None = getattr(submitted.model, "exact", None)
+    exact: Contact = submitted.model.exact
     return None if spec.model == exact else exact
 
 
