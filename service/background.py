@@ -154,7 +154,8 @@ class Processes:
                     self._start_another()
                 self._changed.wait()
                 if self._failure is not None and not self._idle:
-                    raise self._failure
+                    failure, self._failure = self._failure, None  # of one answer: others start another
+                    raise failure
         raise OSError("closed")
 
     def _start_another(self) -> None:
@@ -170,7 +171,7 @@ class Processes:
             self._started.add(process)
             process.call(self._warm, ())
             self._put_back(process, keep=True)
-        except BaseException as error:  # noqa: BLE001 - raised in the threads that wait for it
+        except BaseException as error:  # noqa: BLE001 - raised in a thread that waits for it
             failure = error
             if process is not None:
                 self._end(process)

@@ -157,6 +157,26 @@ def test_an_answer_takes_an_idle_process_while_its_own_starts(tmp_path: Path):
         wait_for(lambda: len(processes._started) == 2)
 
 
+def die_second(folder: Path) -> None:
+    """Die as the second process that starts."""
+    (folder / str(os.getpid())).touch()
+    if len(list(folder.iterdir())) == 2:
+        os._exit(1)
+
+
+def test_a_process_that_cannot_start_fails_one_answer(tmp_path: Path):
+    (started := tmp_path / "started").mkdir()
+    go = tmp_path / "go"
+    with closing(Processes(2, partial(die_second, started))) as processes, ThreadPoolExecutor(4) as pool:
+        processes.run(abs, 1)
+        busy = pool.submit(processes.run, wait_for, go.exists)
+        wait_for(lambda: not processes._idle)
+        errors = [answer.exception() for answer in [pool.submit(processes.run, abs, 1) for _ in range(3)]]
+        go.touch()
+        busy.result()
+    assert [type(error) for error in errors if error] == [NotComputed]
+
+
 def test_they_end_when_closed_also_while_computing(tmp_path: Path):
     begun = tmp_path / "begun"
     computation = f"import pathlib, signal; pathlib.Path({str(begun)!r}).touch(); signal.pause()"
