@@ -11,6 +11,7 @@ from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from kernel.cycles.starts import stable_ranges, start_on_stable_cycle
@@ -223,11 +224,11 @@ class SweepSpec(Specification):
         if rest_length is None:
             return
         gamma, omega = self.axis_values("gamma"), self.axis_values("omega")
-        unit = self.model.model_copy(update={"rest_length": 1.0})  # a subnormal one has depths of 0
-        per_length = penetration_of(unit, gamma[[-1, 0]], omega[[0, -1]])
-        low, high = MIN_PENETRATION / per_length[0], MAX_PENETRATION / per_length[1]
-        if not low <= rest_length <= high:
-            shallow, deep = rest_length * per_length
+        ends = gamma[[-1, 0]], omega[[0, -1]]
+        shallow, deep = penetration_of(self.model, *ends)
+        if not (shallow >= MIN_PENETRATION and deep <= MAX_PENETRATION):
+            unit = self.model.model_copy(update={"rest_length": 1.0})  # a subnormal one has depths of 0
+            low, high = np.array([MIN_PENETRATION, MAX_PENETRATION]) / penetration_of(unit, *ends)
             depths = f"gives contacts {shallow:.3g} to {deep:.3g} plate amplitudes deep"
             allowed = f"allowed are {MIN_PENETRATION:g} to {MAX_PENETRATION:g}"
             low, high = 1.001 * low, 0.999 * min(high, MAX_REST_LENGTH)  # rounded, inside the limits

@@ -192,6 +192,7 @@ def test_both_rest_lengths_that_a_refusal_names_work(grid, refused):
     said = message(**grid, model={"rest_length": refused})
     for end in re.findall(r"; (\S+) to (\S+) works$", said)[0]:
         assert sweep(**grid, model={"rest_length": float(end)})
+    assert sweep(gamma=0.3, omega=1.0, model={"rest_length": 3000})  # of the largest depth, by rounding
 
 
 def test_a_grid_of_depths_as_wide_as_the_limits_is_to_be_narrowed():
