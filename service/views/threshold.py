@@ -29,6 +29,7 @@ from worker.analysis.prediction import (
     prediction_seconds,
     search_each,
 )
+from worker.spec.contact_models import Stepped
 from worker.sweep import SweepSpec
 from worker.sweep.plan import cell_seconds
 
@@ -288,6 +289,9 @@ def _difference(spec: SweepSpec, spacing: float | None, down: float, prediction:
     above, slack = down - prediction.down, selection.ROUNDING * prediction.down
     if -slack <= above <= spacing + slack:
         return ""
+    if isinstance(spec.model, Stepped):
+        side = "above" if above > 0.0 else "below"
+        return f"{abs(above):.3g} {side} the prediction, which has no time steps"
     if above < 0.0:
         fold, window = prediction.fold, sum(spec.window)
         if fold is not None and (periods := lifetime(fold, -above)) > window:

@@ -447,6 +447,17 @@ def test_a_soft_sweep_is_predicted_from_its_own_cells(python_client: Client):
     assert found.attrs["prediction"].startswith("soft, restitution 0.01, penetration 0.001, adhesive: cycles")
 
 
+def test_a_stepped_sweep_is_predicted_by_the_cycles_of_its_soft_contact(python_client: Client):
+    steps = {"kind": "stepped", "penetration": 0.1, "scheme": "euler", "steps_per_contact": 8}
+    down = RAMP["protocol"] | {"direction": "down", "start": {"periods": 1}}
+    few = {"gamma": {"start": 0.5, "stop": 0.7, "num": 41}, "omega": 0.6, "model": steps, "protocol": down}
+    job = python_client.submit(RAMP | few).wait(progress=False)
+    found = job.threshold(predict="cells", tolerance=1e-4, progress=False)
+    assert found.attrs["prediction"].startswith("soft, restitution 0.01, penetration 0.1, adhesive: cycles")
+    assert found.cause.item() == "fold (1,1)"
+    assert found.difference.item().endswith("above the prediction, which has no time steps")
+
+
 def test_every_omega_is_predicted_when_asked_for(
     client: TestClient, python_client: Client, monkeypatch: pytest.MonkeyPatch
 ):
