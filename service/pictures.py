@@ -485,7 +485,8 @@ def _draw_threshold_curve(ax: Axes, modes: xarray.Dataset) -> list[Artist]:
         onsets, omega = np.tile([left, right, np.nan], len(crossed)), crossed.repeat(3)
     ax.plot(onsets, omega, color="white", linewidth=2.4)
     lines = ax.plot(onsets, omega, "--", color="black", linewidth=1.1, label="threshold, Eq. 25")
-    return [*lines] if np.any((onsets >= left) & (onsets <= right)) else []
+    sides = np.digitize(onsets, [left, right])  # a step from one side to the other passes through
+    return [*lines] if np.any(sides == 1) or np.any(np.abs(np.diff(sides)) > 1) else []
 
 
 def draw_cells(

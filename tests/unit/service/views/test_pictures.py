@@ -235,11 +235,13 @@ def test_the_threshold_of_one_row_or_column_is_what_it_is_there():
     crossed = np.asarray(lines[1].get_ydata(), float)
     assert len(crossed) > 0
     np.testing.assert_allclose(threshold_of(crossed, 0.1), column.gamma.item(), rtol=0.01)
-    axes = Figure().subplots()
-    draw_modes(axes, column.assign_coords(gamma=[1e-3]))  # which no threshold crosses
-    legend = axes.get_legend()
-    assert legend is not None
-    assert "Eq. 25" not in " ".join(text.get_text() for text in legend.get_texts())
+    gamma = column.gamma.item() + 1e-9 * np.arange(20)  # passed through between two points of the curve
+    narrow = wide_map(0.5, 1.5).assign_coords(gamma=gamma)
+    for cells, crosses in ((column.assign_coords(gamma=[1e-3]), False), (narrow, True)):
+        draw_modes(axes := Figure().subplots(), cells)
+        legend = axes.get_legend()
+        assert legend is not None
+        assert crosses == ("Eq. 25" in " ".join(text.get_text() for text in legend.get_texts()))
 
 
 def test_an_axis_of_one_value_has_one_tick():
