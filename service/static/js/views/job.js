@@ -111,7 +111,8 @@ export class JobView {
 
   #onChange(job) {
     if (job.id !== this.id) return navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
-    this.summary.show(job); // the views follow when it is polled
+    this.job.name = job.name; // the rest follows when it is polled
+    this.#describe();
     this.#pollAfter(0);
   }
 
