@@ -120,7 +120,8 @@ def estimate(spec: None, query: CurvesQuery) -> Estimate:
     contact = query.contact()
     modes = parse_modes(query.modes)
     springs = [(value, fixed) if along is Parameter.OMEGA else (fixed, value) for value in span]
-    lengths = [[grid_length(*spring, periods) for spring in springs] for periods in modes]
+    field = "omega_start" if along is Parameter.OMEGA else "omega"
+    lengths = [[grid_length(*spring, periods, field=field) for spring in springs] for periods in modes]
     omega, _ = springs[0]
     closed_form = [_SECONDS * at_start for at_start, _ in lengths]
     followed = [] if contact is None else [curves_seconds(contact)] * len(modes)

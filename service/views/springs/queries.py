@@ -76,9 +76,12 @@ def parse_modes(text: str) -> tuple[int, ...]:
         raise InvalidRequest.of("modes", error.rule) from error
 
 
-def grid_length(omega: float, xi: float, periods: int, points: int = 1) -> int:
-    """Number of flight times of a branch. Raises InvalidRequest if it takes too many, or has none."""
+def grid_length(omega: float, xi: float, periods: int, points: int = 1, field: str = "omega") -> int:
+    """Number of flight times of a branch. Raises InvalidRequest if it takes too many, or has none.
+
+    field: the parameter of the query with this omega.
+    """
     try:
         return len(flight_times(omega, xi, periods, points, most=MAX_GRID))
     except KernelInputError as error:
-        raise InvalidRequest.of(error.argument, error.rule) from error
+        raise InvalidRequest.of(field if error.argument == "omega" else error.argument, error.rule) from error
