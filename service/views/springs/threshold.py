@@ -61,7 +61,7 @@ class SearchQuery(ContactQuery):
     search: Annotated[
         bool, Field(description="search for what bounces below, by workers, seconds to minutes a spring")
     ] = False
-    effort: Annotated[Number, Field(ge=0, le=100, description="0 to 100: 100 to 10,000 starts each")] = 50
+    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
 
     def contact(self) -> Rigid | Soft | None:
         """As of every spring. Raises InvalidRequest also for an effort without a search."""
