@@ -215,7 +215,8 @@ class Transport:
                 file.write(end)
             return response
 
-        delays = () if target.is_fifo() else RETRY_DELAYS  # the reader of a pipe has what came so far
+        # the reader of a pipe or terminal has what came so far
+        delays = RETRY_DELAYS if target.is_file() or not target.exists() else ()
         send = partial(self._request, "GET", path, query, delays=delays, read=save, seconds=DOWNLOAD_SECONDS)
         outlast(send, away=0.0, busy=DOWNLOAD_SECONDS, shown=True)
 
