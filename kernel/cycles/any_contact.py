@@ -175,7 +175,7 @@ def up_to_shorter(line: Followed) -> Followed:
     for k, event in enumerate(line.events):
         if event.after >= len(own):
             return Followed(own, line.events[:k])
-        if event.turns and is_doubled(event.point):
+        if event.turns and event.point is not line.points[0] and is_doubled(event.point):
             kind = Kind.FLIP if event.kind is Kind.FOLD else event.kind  # seen from the shorter cycle
             last = Event(kind, event.point, after=event.after)
             return Followed([*line.points[: event.after + 1], event.point], [*line.events[:k], last])
