@@ -26,6 +26,8 @@ from kernel.cycles.thresholds import closed_form
 from kernel.numerics.elementary import TWO_PI
 from kernel.params import Cell, Line, Outcome
 
+#: Of a search, by default.
+EFFORT: Final = 50.0
 #: Number of Gammas in a round, and the first and last: relative distance from the lowest end, and part of it.
 _GAMMAS, _BELOW, _LOWEST = 30, 3e-4, 0.3
 _ROUNDS: Final = 4
@@ -76,7 +78,7 @@ def starts_of(effort: float) -> int:
     return round(100.0 * math.pow(10.0, effort / 50.0))
 
 
-def search(plate: Any, omega: float, xi: float, *, effort: float = 50.0) -> Searched:
+def search(plate: Any, omega: float, xi: float, *, effort: float = EFFORT) -> Searched:
     """The lowest Gamma at which a spring bounces. plate: of one cell. Raises KernelInputError.
 
     Starts lie between the lowest known end, where rest or a branch beside the closed form ends, and _LOWEST

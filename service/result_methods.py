@@ -312,7 +312,7 @@ class SpringMethods(Methods):
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
         search: Annotated[bool, "search for what bounces below, by workers, seconds to minutes a spring"] = False,
-        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
+        effort: Annotated[float | None, "of a search: 100 to 10,000 starts each; default: 50"] = None,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":
@@ -347,7 +347,7 @@ class SpringMethods(Methods):
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
         adhesive: Annotated[bool, "whether a soft model pulls before take-off"] = True,
         search: Annotated[bool, "search for what bounces below, by workers, seconds to minutes a spring"] = False,
-        effort: Annotated[float, "of a search: 100 to 10,000 starts each"] = 50,
+        effort: Annotated[float | None, "of a search: 100 to 10,000 starts each; default: 50"] = None,
         timeout: float = 300.0,
         progress: Progress = True,
     ) -> "xarray.Dataset":

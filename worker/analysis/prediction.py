@@ -12,7 +12,7 @@ from kernel.cycles.events import POINTS, flight_times
 from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import PERIODS, UNRESOLVED, Thresholds, closed_form, thresholds
 from kernel.params import KernelInputError
-from kernel.search import Searched, search
+from kernel.search import EFFORT, Searched, search
 from kernel.threshold import threshold
 from worker.analysis.cycles import lowest_cells
 from worker.orbits.plan import SECONDS
@@ -90,7 +90,7 @@ def is_ideal(contact: Contact) -> bool:
     return isinstance(contact, Rigid) and contact.restitution == 0.0
 
 
-def search_below(contact: Contact, omega: float, xi: float, effort: float = 50.0) -> Searched:
+def search_below(contact: Contact, omega: float, xi: float, effort: float = EFFORT) -> Searched:
     """The lowest end of bouncing that a search finds; runs on workers. Raises KernelInputError."""
     return search(plate_at(contact, 1.0, omega, xi), omega, xi, effort=effort)
 

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Final
 import numpy as np
 import xarray
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from kernel.cycles.folds import lifetime
 from kernel.cycles.thresholds import Thresholds
-from kernel.search import starts_of
+from kernel.search import EFFORT, starts_of
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, edges, legend_beside, mark_single, values_at
 from service.views import proofs
@@ -28,7 +28,7 @@ from worker.analysis.prediction import (
     search_below,
 )
 from worker.spec.axes import Strict, values_of
-from worker.spec.contact_models import Contact, Rigid, Soft
+from worker.spec.contact_models import Contact, Rigid
 from worker.sweep import specification
 
 #: Number of springs whose thresholds are kept, the last used.
@@ -61,14 +61,21 @@ class SearchQuery(ContactQuery):
     search: Annotated[
         bool, Field(description="search for what bounces below, by workers, seconds to minutes a spring")
     ] = False
-    effort: Annotated[Number, Field(ge=0, le=100, description="of a search: 100 to 10,000 starts each")] = 50
+    effort: Annotated[Number, Field(ge=0, le=100)] | None = Field(
+        None, description=f"of a search: 100 to 10,000 starts each; default: {EFFORT:g}"
+    )
 
-    def contact(self) -> Rigid | Soft | None:
-        """As of every spring. Raises InvalidRequest also for an effort without a search."""
-        default = SearchQuery.model_fields["effort"].default  # the client sends it
-        if self.effort != default and not self.search:
-            raise InvalidRequest.of("effort", "is of a search: add search")
-        return super().contact()
+    @field_validator("effort")
+    @classmethod
+    def _of_a_search(cls, effort: float | None, info: ValidationInfo) -> float | None:
+        if effort is not None and not info.data.get("search", True):  # absent if it is no boolean
+            raise ValueError("is of a search: add search")
+        return effort
+
+    @property
+    def tries(self) -> float:
+        """The effort of a search, or its default."""
+        return EFFORT if self.effort is None else self.effort
 
 
 class SpringQuery(SearchQuery):
@@ -142,7 +149,7 @@ def _calls(query: SpringQuery) -> list[Call]:
     contact, spring = query.contact(), (query.omega, query.xi)
     calls: list[Call] = [(predict, *spring) if contact is None else (of_contact, contact, *spring)]
     if query.search:
-        calls.append((search_below, contact or Rigid(), *spring, query.effort))
+        calls.append((search_below, contact or Rigid(), *spring, query.tries))
     return calls
 
 
@@ -226,7 +233,7 @@ def _values(query: GridQuery, name: str) -> NDArray[np.float64]:
 def _springs(query: GridQuery) -> list[SpringQuery]:
     """The springs of a grid, omega fastest. Raises InvalidRequest, also for too many, or SpecInvalid."""
     xis, omegas = (_values(query, name).tolist() for name in ("xi", "omega"))
-    seconds = _SEARCHED * max(1.0, starts_of(query.effort) / 1_000) if query.search else _CONTINUED
+    seconds = _SEARCHED * max(1.0, starts_of(query.tries) / 1_000) if query.search else _CONTINUED
     most = int(MAX_GRID_SECONDS / seconds)
     if len(xis) * len(omegas) > most:
         rule = f"{most:,} springs take {MAX_GRID_SECONDS:,.0f} core-seconds, which is the limit"

@@ -412,7 +412,7 @@ def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(pytho
     ({"omega": "0.5:0.6:267", "search": True}, "omega: must be fewer: 266 springs take"),
     ({"xi": "-1"}, "xi: must be"),
     ({"restitution": 0.3}, "model: is required with restitution"),
-    ({"effort": 10}, "effort: is of a search"),
+    ({"effort": 50}, "effort: is of a search"),
 ])  # fmt: skip
 def test_grids_of_springs_are_checked(client: TestClient, query: dict[str, Any], rule: str):
     assert rule in refused(client, "/v1/thresholds", 422, **{"omega": "0.6", "xi": "0.05"} | query)
