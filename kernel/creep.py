@@ -1,5 +1,6 @@
 """Motions that are not cycles: how far down in Gamma they bounce, and the rotation numbers of tori."""
 
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class Crept(NamedTuple):
 
     cell: Cell
     line: Line  # of the copies that bounce there
-    gone: float  # the Gamma below it at which all copies came to rest; 0: none
+    gone: float  # the Gamma below it at which all copies came to rest; NaN: none
 
     @property
     def periods(self) -> int:
@@ -79,7 +80,7 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
     ones keep. The steps end at a cycle of at most LONGEST plate periods. Otherwise returns the last step
     after which a copy bounces for long.
     """
-    lowest, states, step, gone = cell, state[None], _FIRST, 0.0
+    lowest, states, step, gone = cell, state[None], _FIRST, math.nan
 
     def carried(gamma: float, stay: int) -> Line | None:
         copies = np.resize(states, (_COPIES, state.size))
@@ -89,21 +90,21 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
     line = carried(cell.gamma, _STAY)
     if line is None:
         return None
-    steps = [Crept(cell, line, 0.0)]
+    steps = [Crept(cell, line, gone)]
     for _ in range(_STEPS):
         states, gamma = line.end_state, lowest.gamma * (1.0 - step)
         lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY)
         if lower is not None:
-            lowest, line, gone = lowest._replace(gamma=gamma), lower, gone if gamma > gone else 0.0
+            lowest, line, gone = lowest._replace(gamma=gamma), lower, gone if gamma > gone else math.nan
             steps.append(Crept(lowest, line, gone))
-            if gone == 0.0:
+            if math.isnan(gone):
                 step = min(1.5 * step, _LARGEST)
                 if 0 < steps[-1].periods <= LONGEST:
                     return steps[-1]
         elif step < _SMALLEST:
             break
         else:
-            gone, step = max(gone, gamma), 0.5 * step
+            gone, step = float(np.fmax(gone, gamma)), 0.5 * step
     return _lasting(plate, steps, gone)
 
 

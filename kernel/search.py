@@ -202,7 +202,7 @@ class _Search:
             cell, state = crept.cell, crept.line.end_state[0]
             if cell.gamma < self.bound:
                 self.end = self._named(crept)
-            if crept.gone > 0.0:
+            if not math.isnan(crept.gone):
                 return
             periods = crept.periods
 
@@ -217,7 +217,7 @@ class _Search:
             part = Fraction(number).limit_denominator(_LOCKED)
             locked = f"to {mode}" if mode else str(part) if abs(number - part) < _EXACTLY else ""
             what += f", locked {locked}" if locked else ""
-        return Searched(crept.cell.gamma, what, self.starts, crept.gone or math.nan, number, error)
+        return Searched(crept.cell.gamma, what, self.starts, crept.gone, number, error)
 
 
 def _first(point: Point) -> int:

@@ -53,7 +53,7 @@ def test_what_dies_out_beyond_a_cycle_is_no_torus():
 
 
 def test_what_dies_out_is_gone_at_the_step_below_the_last_that_lasts(monkeypatch: pytest.MonkeyPatch):
-    steps = [Crept(Cell(1.0 - 0.1 * i, 0.46, 0.05), empty_line(1, 1), 0.0) for i in range(8)]
+    steps = [Crept(Cell(1.0 - 0.1 * i, 0.46, 0.05), empty_line(1, 1), math.nan) for i in range(8)]
     monkeypatch.setattr(
         "kernel.creep._bouncing", lambda plate, cell, *_: empty_line(1, 1) if cell.gamma > 0.65 else None
     )
