@@ -159,11 +159,17 @@ def flight_times(
     rate = 1.0 + np.sqrt(max(2.0 * w - b * b, 0.0)) + np.sqrt(max(w - 0.25 * b * b, 0.0))
     whole = TWO_PI * periods
     h = min(whole / points, resolution / rate)
+    if points > most:
+        raise KernelInputError("points", f"must be at most {most:,}, got {points:,}")
     if whole / h > most:
+        rule, longest = f"a branch has at most {most:,} points", resolution * most / TWO_PI
         # the frequencies of the spring are as 1/omega; 1 % more, so that the rounded number works
-        fitting = 1.01 * omega * (rate - 1.0) / (resolution * most / whole - 1.0)
-        rule = f"must be at least about {fitting:.3g} for cycles of {periods} plate periods, got {omega:g}"
-        raise KernelInputError("omega", f"{rule}: a branch has at most {most:,} points")
+        fitting = 1.01 * omega * (rate - 1.0) / max(longest / periods - 1.0, 1e-300)
+        if fitting > LARGEST:
+            fewer = f"must be at most {int(longest / rate)} at omega = {omega:g}, got {periods}"
+            raise KernelInputError("periods", f"{fewer}: {rule}")
+        larger = f"must be at least about {fitting:.3g} for cycles of {periods} plate periods, got {omega:g}"
+        raise KernelInputError("omega", f"{larger}: {rule}")
     fastest = b + np.sqrt(max(b * b - 2.0 * w, 0.0))
     finest = min(h, resolution / max(fastest, 1e-300))
     steps = [finest]

@@ -85,12 +85,20 @@ def test_series_and_closed_forms_meet(omega, xi):
 @for_each(
     ("omega", "xi", "periods", "argument"),
     [(0.0, 0.1, 1, "omega"), (math.nan, 0.1, 1, "omega"), (0.5, -0.1, 1, "xi"), (1.0, 0.0, 1, "xi"),
-     (0.5, 0.1, 0, "periods"), (1e-6, 0.1, 1, "omega")],
+     (0.5, 0.1, 0, "periods"), (1e-6, 0.1, 1, "omega"), (0.5, 0.1, 637, "periods")],
 )  # fmt: skip
 def test_refuses_what_has_no_branch(omega, xi, periods, argument):
     with pytest.raises(KernelInputError) as refusal:
         branch_and_events(omega, xi, periods)
     assert refusal.value.argument == argument
+
+
+def test_a_grid_of_too_many_points_is_refused_with_what_works():
+    with pytest.raises(KernelInputError, match=r"^points: must be at most 20,000, got 20,001"):
+        flight_times(0.5, 0.1, 1, 20_001)
+    with pytest.raises(KernelInputError, match=r"^periods: must be at most 109 at omega = 0.5, got 637"):
+        flight_times(0.5, 0.1, 637)
+    assert len(flight_times(0.5, 0.1, 109)) < 20_000
 
 
 def test_reasons():
