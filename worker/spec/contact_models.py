@@ -182,7 +182,7 @@ class _SoftContact(ContactFields):
 
     @property
     def exact(self) -> "Soft":
-        """The tolerance of `auto` refers to it, and the cycles of `stepped` are its own."""
+        """The contact that the tolerance of `auto` refers to and the steps of `stepped` approximate."""
         return Soft(**self.model_dump(include=set(_SoftContact.model_fields) - {"kind"}))
 
 
