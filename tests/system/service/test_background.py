@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import partial
@@ -60,7 +60,7 @@ def test_a_result_comes_back(processes: Processes):
     assert processes.run(os.getpid) != os.getpid()
     assert processes.run(os.nice, 0) == os.nice(0) + NICER
     assert processes.run(os.sched_getscheduler, 0) == os.SCHED_BATCH
-    assert all(process._process.daemon for process in processes._started)
+    assert all(child.daemon for child in active_children())
     assert InThisProcess().run(divmod, 17, 5) == (3, 2)
 
 
@@ -104,25 +104,32 @@ def test_a_process_that_holds_much_memory_after_an_answer_is_replaced():
         assert not psutil.pid_exists(first)
 
 
-def start_both(processes: Processes, folder: Path) -> None:
+def stay_busy(begun: Path, until: Callable[[], bool]) -> int:
+    """Tell that this process has begun, and work until this holds."""
+    begun.touch()
+    wait_for(until)
+    return os.getpid()
+
+
+def start_both(processes: Processes, folder: Path) -> list[int]:
     """Have two answers that end once both processes have started."""
-    go = folder / "go"
+    go, begun = folder / "go", [folder / "first", folder / "second"]
     with ThreadPoolExecutor(2) as pool:
-        answers = pool.map(processes.run, [wait_for] * 2, [go.exists] * 2)
-        wait_for(lambda: len(processes._started) == 2 and not processes._starting)
+        answers = pool.map(processes.run, [stay_busy] * 2, begun, [go.exists] * 2)
+        wait_for(lambda: all(each.exists() for each in begun))
         go.touch()
-        list(answers)
+        return list(answers)
 
 
 def test_idle_processes_end_by_one_thread_for_all_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(background, "IDLE_SECONDS", 2.0)
     with closing(Processes(2)) as processes:
-        start_both(processes, tmp_path)
+        started = start_both(processes, tmp_path)
         before = threading.active_count()
         for _ in range(50):
             processes.run(abs, 1)
         assert threading.active_count() <= before + 1
-        wait_for(lambda: len(processes._started) == 1)
+        wait_for(lambda: sum(map(psutil.pid_exists, started)) == 1)
 
 
 def note(folder: Path) -> None:
@@ -148,13 +155,16 @@ def start_late(folder: Path) -> None:
 
 
 def test_an_answer_takes_an_idle_process_while_its_own_starts(tmp_path: Path):
-    with closing(Processes(2, partial(start_late, tmp_path))) as processes, ThreadPoolExecutor(2) as pool:
+    (started := tmp_path / "started").mkdir()
+    begun, go = tmp_path / "begun", tmp_path / "go"
+    with closing(Processes(2, partial(start_late, started))) as processes, ThreadPoolExecutor(2) as pool:
         first = processes.run(os.getpid)
-        busy = pool.submit(processes.run, time.sleep, 1.0)
-        wait_for(lambda: not processes._idle)
-        assert processes.run(os.getpid) == first
-        busy.result()
-        wait_for(lambda: len(processes._started) == 2)
+        busy = pool.submit(processes.run, stay_busy, begun, go.exists)
+        wait_for(begun.exists)
+        waiting = pool.submit(processes.run, os.getpid)
+        wait_for(lambda: len(list(started.iterdir())) == 2)
+        go.touch()
+        assert busy.result() == waiting.result() == first
 
 
 def die_second(folder: Path) -> None:
@@ -166,11 +176,11 @@ def die_second(folder: Path) -> None:
 
 def test_a_process_that_cannot_start_fails_one_answer(tmp_path: Path):
     (started := tmp_path / "started").mkdir()
-    go = tmp_path / "go"
+    begun, go = tmp_path / "begun", tmp_path / "go"
     with closing(Processes(2, partial(die_second, started))) as processes, ThreadPoolExecutor(4) as pool:
         processes.run(abs, 1)
-        busy = pool.submit(processes.run, wait_for, go.exists)
-        wait_for(lambda: not processes._idle)
+        busy = pool.submit(processes.run, stay_busy, begun, go.exists)
+        wait_for(begun.exists)
         errors = [answer.exception() for answer in [pool.submit(processes.run, abs, 1) for _ in range(3)]]
         go.touch()
         busy.result()
@@ -262,16 +272,16 @@ def test_what_is_computed_for_a_client_that_leaves_ends(tmp_path: Path, monkeypa
     )
     settings = Settings(data=tmp_path, max_trajectories=1, trajectory_seconds=1e9)
     with closing(Processes(1)) as processes, closing(Inline()) as executor:
-        app = create_app(settings, executor, processes)
+        app, others = create_app(settings, executor, processes), active_children()
+        busy = psutil.Process(processes.run(os.getpid))
+        idle = sum(busy.cpu_times()[:2])
         with listening(app, limited(DEADLINE, 9)) as address:
             leases = app.state.service.capacity
             with socket.create_connection(address, timeout=DEADLINE) as connection:
                 connection.sendall(request)
-                wait_for(lambda: processes._started and not processes._starting)
-                (busy,) = (psutil.Process(process._process.pid) for process in processes._started)
-                wait_for(lambda: sum(busy.cpu_times()[:2]) > 0.1)
+                wait_for(lambda: sum(busy.cpu_times()[:2]) > idle + 0.1)
             wait_for(lambda: leases.used == 0 and not busy.is_running())
-            wait_for(lambda: len(processes._idle) == 1)  # before another client asks
+            wait_for(lambda: set(active_children()) - {*others})  # before another client asks
             assert processes.run(divmod, 17, 5) == (3, 2)
 
 

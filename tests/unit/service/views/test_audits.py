@@ -13,12 +13,13 @@ from served import finished, service
 from studies import spec_of
 
 from benchmarks.audit import answered, census, drawn
-from kernel.params import Cell
+from kernel.params import Cell, Outcome
 from service.local import computed
-from service.views.audit import QUESTIONS, _Answer, _deviations, _sentence, is_compiled
+from service.views.audit import AuditQuery, compute, is_compiled
 from service.views.plan import settings_of
+from service.views.selection import Stored
 from worker.analysis import audit
-from worker.analysis.audit import PARTS, SETS, look
+from worker.analysis.audit import FIELDS, PARTS, SETS, look
 from worker.analysis.intervals import bounds
 from worker.analysis.planning import Setting, Share, candidates, recommended
 from worker.spec.contact_models import Soft, Stepped
@@ -157,11 +158,18 @@ def test_no_share_of_cells_within_a_deviation_has_those_that_may_deviate_by_anyt
     flights = found.sel(question="flights")
     assert flights.undecided > 10
     assert flights.covered < 1.0 - flights.undecided / flights.sampled
-    sample = {"outcome": np.zeros(59), "repeats": np.ones(59, bool), "unknown": False}
-    sizes = {"cells": 10_000, "certified": 0, "certified_error": 0.0}
     for undecided, of_95 in ((0, 58.0), (1, np.inf)):  # the rule of three: 59 of 59 cells
-        first = {"deviation": np.arange(59.0), "undecided": np.arange(59) < undecided}
-        assert _deviations(sample | first, sizes)[2:] == [of_95, np.inf]
+        first = {"deviation": [*range(59)], "undecided": [i < undecided for i in range(59)]}
+        assert of_59_cells(first, cells=10_000).deviation.values[2:].tolist() == [of_95, np.inf]
+
+
+def of_59_cells(fields: dict[str, list[Any]], **sizes: float) -> xarray.Dataset:
+    """The audit of a sweep of which 59 cells, drawn at random, were found unchanged but for these fields."""
+    periodic = {"outcome": [Outcome.PERIODIC] * 59, "true_outcome": [Outcome.PERIODIC] * 59}
+    none = {"thresholds": 0, "certified": 0, "certified_error": 0.0, "repeating": 0}
+    part = dict.fromkeys(FIELDS, [0] * 59) | periodic | fields | none | sizes
+    spec = SweepSpec(**PLANE)
+    return compute(Stored(spec, "none", submitted=spec), AuditQuery(), part)
 
 
 def test_the_benchmark_draws_audits_from_all_cells():
@@ -172,8 +180,8 @@ def test_the_benchmark_draws_audits_from_all_cells():
 
 def test_a_sentence_says_no_more_than_is_known_of_all_cells():
     """Some are not certified, and those filled in have no flights."""
-    questions = dict.fromkeys(QUESTIONS, _Answer(59, 0, 0, 0.0, 0.0, 0.0001))
-    said = _sentence({"numerics": questions}, np.ones((1, 4)), 0.9999, 1e-3)
+    sizes = {"cells": 10_000_000, "certified": 9_999_000, "certified_error": 1.0}
+    said = of_59_cells({}, **sizes).attrs["sentence"]
     assert said.startswith("99.9 % of the cells are certified")
     assert "99 % of the cells, if they have flights that repeat, deviate by at most 1.1 rad" in said
 
