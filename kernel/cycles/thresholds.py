@@ -64,7 +64,7 @@ class Thresholds(NamedTuple):
 
     def contradicted(self, bouncing: float) -> "Thresholds":
         """The same, unresolved: a simulation bounces at this Gamma below `down`."""
-        reason = f"bounces at Gamma = {bouncing:.6f}, as no cycle that was followed"
+        reason = f"bounces at Gamma = {bouncing:.10g}, as no cycle that was followed"
         return self._replace(down=math.nan, cause=UNRESOLVED, reason=reason, fold=None)
 
 
@@ -78,7 +78,7 @@ def where_searched(answer: Thresholds) -> Thresholds:
     xi = answer.xi
     if xi >= SEARCHED_XI:
         return answer
-    says = answer.reason or f"Gamma = {answer.down:.6f}"
+    says = answer.reason or f"Gamma = {answer.down:.10g}"
     reason = (
         f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
         f"reach lower than it says: {answer.cause}, {says}"
@@ -182,7 +182,7 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
 
 def _why(fold: Fold) -> str:
     """Why a fold below the answer does not decide."""
-    name = f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.6f}"
+    name = f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.10g}"
     if fold.violations:
         return f"{name} is not admissible: the branch goes on as another word"
     return f"{name} is unstable on both sides: a torus may live near it"
