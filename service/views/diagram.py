@@ -185,7 +185,7 @@ def _shown(arrays: dict[str, NDArray[Any]], query: DiagramQuery) -> dict[str, ND
 def estimate(spec: SweepSpec, query: DiagramQuery) -> Estimate:
     """All flights that the line can have. Raises InvalidRequest if the sweep lacks the line."""
     selection.fixed_axes(spec, query)
-    selection.check_order(query, "flight_start", "flight_stop")
+    selection.check_order(query, "flight_start", "flight_stop", wide=True)
     branches = _branches(spec, query)
     try:
         followed = Estimate({}) if branches is None else branches[0].estimate(spec, branches[1])

@@ -165,11 +165,12 @@ def directions_of(spec: SweepSpec, direction: str | None) -> tuple[str, ...]:
     return (direction,)
 
 
-def check_order(query: Any, lower: str, upper: str) -> None:
-    """Raise InvalidRequest if one end of a window is above the other."""
+def check_order(query: Any, lower: str, upper: str, *, wide: bool = False) -> None:
+    """Raise InvalidRequest if one end of a window is above the other; of a `wide` one, also if both agree."""
     start, stop = getattr(query, lower), getattr(query, upper)
-    if start is not None and stop is not None and start > stop:
-        raise InvalidRequest.of(lower, f"must not be above {upper}, which is {stop:g}")
+    if start is not None and stop is not None and (start >= stop if wide else start > stop):
+        rule = f"must {'be below' if wide else 'not be above'} {upper}, which is {stop:g}"
+        raise InvalidRequest.of(lower, rule)
 
 
 def between(values: NDArray[np.float64], query: Any, lower: str, upper: str) -> range:

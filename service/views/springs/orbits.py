@@ -198,8 +198,8 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
     exist, and above MAX_SECONDS.
     """
     lengths = [grid_length(*grid) + 2 * query.points * query.has_window for grid in _grids(query)]
-    check_order(query, *WINDOW[:2])
-    check_order(query, *WINDOW[2:])
+    check_order(query, *WINDOW[:2], wide=True)
+    check_order(query, *WINDOW[2:], wide=True)
     plate = query.contact()
     for name in ("energy", "prove", *WINDOW) if plate is not None else ():
         if (asked := getattr(query, name)) is not None and asked is not False:  # 0 is an end of a window

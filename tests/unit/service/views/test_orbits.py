@@ -140,7 +140,8 @@ def test_a_search_that_finds_nothing_leaves_the_fold_that_is_known():
     ({"doubled": True}, "doubled: needs a model"),
     ({"model": "soft", "along": "xi", "gamma": 2, "gamma_max": 3}, "gamma_max: is of branches along gamma"),
     ({"start": 2.0, "stop": 1.0}, "start: must not be above stop, which is 1"),
-    ({"flight_start": 2.0, "flight_stop": 1.0}, "flight_start: must not be above flight_stop"),
+    ({"flight_start": 2.0, "flight_stop": 1.0}, "flight_start: must be below flight_stop"),
+    ({"start": 0.6, "stop": 0.6}, "start: must be below stop, which is 0.6"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
 ])  # fmt: skip
 def test_what_excludes_each_other_or_has_no_cycles_is_refused(
