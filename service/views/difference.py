@@ -69,7 +69,7 @@ def compute(study: selection.Stored[SweepSpec], query: DifferenceQuery) -> xarra
     assert other is not None
     xi = selection.nearest_index(study.spec, "xi", query.xi)
     other_xi = selection.nearest_index(
-        other.spec, "xi", xi.value if len(other.spec.axis_values("xi")) > 1 else None
+        other.spec, "xi", xi.value if len(other.spec.axis_values("xi")) > 1 else None, "the other sweep"
     )
     direction = selection.directions_of(study.spec, query.direction)[0]
     ways = other.spec.directions

@@ -123,7 +123,7 @@ class GridValue:
     value: float
 
 
-def nearest_index(spec: Specification, axis: str, value: float | None) -> GridValue:
+def nearest_index(spec: Specification, axis: str, value: float | None, whose: str = "the sweep") -> GridValue:
     """The grid value nearest to `value`; None selects the value of an axis with only one.
 
     Raises InvalidRequest for a value outside the axis, and for None if the axis has several values.
@@ -138,7 +138,7 @@ def nearest_index(spec: Specification, axis: str, value: float | None) -> GridVa
     slack = ROUNDING * max(abs(low), abs(high))
     if not low - slack <= value <= high + slack:
         extent = f"from {low!r} to {high!r}" if len(values) > 1 else f"at {low!r} alone"
-        raise InvalidRequest.of(axis, f"must be within the sweep, which is {extent}, not {value!r}")
+        raise InvalidRequest.of(axis, f"must be within {whose}, which is {extent}, not {value!r}")
     index = int(np.argmin(np.abs(values - value)))
     return GridValue(index, float(values[index]))
 

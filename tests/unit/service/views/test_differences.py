@@ -24,7 +24,10 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(tmp_pat
         ends = [job.threshold(xi=0.26, predict="none").up.values for job in (first, second)]
         alone = third.difference(first.id)
         same = third.difference(third.id)
-        damped = client.submit(line | {"xi": 0.3}).wait(progress=False).difference(third.id)
+        more = client.submit(line | {"xi": 0.3}).wait(progress=False)
+        damped = more.difference(third.id)
+        with pytest.raises(BadRequest, match="xi: must be within the other sweep, which is from"):
+            more.difference(first.id)
         thinned = first.difference(second.id, xi=0.26, every=3)
         apart = client.submit(own | {"gamma": 4.0, "xi": 0.26}).wait(progress=False).difference(second.id)
         drawn = first.result_file("difference", "svg", other=second.id, xi=0.26).decode()
