@@ -223,6 +223,27 @@ def test_a_chunk_that_cannot_be_written_leaves_nothing(url, spec, plan, monkeypa
     assert files(url) == before
 
 
+@pytest.mark.parametrize("step", ["place", "delete"])
+def test_a_chunk_of_which_one_file_is_there_or_gone_reads_as_missing(url, spec, plan, monkeypatch, step):
+    """Outcomes are written last and removed first."""
+    record, real, count = record_of(spec, plan[0]), getattr(backend, step), count_from(0)
+    if step == "delete":
+        store.write_chunk(url, plan[0], record)
+
+    def one(*given: Any) -> None:
+        if next(count) == 1:
+            raise OSError(5, "Input/output error")
+        real(*given)
+
+    monkeypatch.setattr(backend, step, one)
+    with pytest.raises(OSError, match="Input/output error"):
+        if step == "place":
+            store.write_chunk(url, plan[0], record)
+        else:
+            store.discard(url, layout(spec, plan.chunk_shape), plan[0])
+    assert not store.read_chunk(url, plan[0], ["outcome"])["outcome"].any()
+
+
 def test_a_store_that_is_removed_meanwhile_is_not_made_again(url, spec, plan, monkeypatch):
     real = stored.write_keys
 
