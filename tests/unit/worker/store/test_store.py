@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from itertools import count as count_from
 from pathlib import Path
 from typing import Any
@@ -236,11 +237,9 @@ def test_a_chunk_of_which_one_file_is_there_or_gone_reads_as_missing(url, spec, 
         real(*given)
 
     monkeypatch.setattr(backend, step, one)
+    write, cut = partial(store.write_chunk, url, plan[0], record), layout(spec, plan.chunk_shape)
     with pytest.raises(OSError, match="Input/output error"):
-        if step == "place":
-            store.write_chunk(url, plan[0], record)
-        else:
-            store.discard(url, layout(spec, plan.chunk_shape), plan[0])
+        (write if step == "place" else partial(store.discard, url, cut, plan[0]))()
     assert not store.read_chunk(url, plan[0], ["outcome"])["outcome"].any()
 
 
