@@ -1,6 +1,5 @@
 """Motions that are not cycles: how far down in Gamma they bounce, and the rotation numbers of tori."""
 
-import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -80,7 +79,7 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
     ones keep. The steps end at a cycle of at most LONGEST plate periods. Otherwise returns the last step
     after which a copy bounces for long.
     """
-    lowest, states, step, gone = cell, state[None], _FIRST, math.nan
+    lowest, states, step, gone = cell, state[None], _FIRST, np.nan
 
     def carried(gamma: float, stay: int) -> Line | None:
         copies = np.resize(states, (_COPIES, state.size))
@@ -95,9 +94,9 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
         states, gamma = line.end_state, lowest.gamma * (1.0 - step)
         lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY)
         if lower is not None:
-            lowest, line, gone = lowest._replace(gamma=gamma), lower, gone if gamma > gone else math.nan
+            lowest, line, gone = lowest._replace(gamma=gamma), lower, gone if gamma > gone else np.nan
             steps.append(Crept(lowest, line, gone))
-            if math.isnan(gone):
+            if np.isnan(gone):
                 step = min(1.5 * step, _LARGEST)
                 if 0 < steps[-1].periods <= LONGEST:
                     return steps[-1]
