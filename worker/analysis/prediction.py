@@ -119,8 +119,7 @@ def predict_from_cells(
 
     The cells are those of lowest Gamma that settled, on the way down if the sweep goes down. On an ideal
     plate they count only if `predict` leaves a threshold unresolved. The lowest end of a cycle is the answer,
-    unless a cell without time steps bounces below it or a lower fold is undecided. Raises a
-    `store.StoreError`.
+    unless a cell without time steps bounces below it or a lower fold is undecided. Raises a StoreError.
     """
     direction = spec.directions.index("down") if "down" in spec.directions else 0
     at_xi = float(spec.axis_values("xi")[xi])
@@ -132,12 +131,11 @@ def predict_from_cells(
             settled, bouncing = lowest_cells(spec, url, (direction, xi, omega), complete)
             cycles = [cycle for cell in settled if (cycle := cell.cycle(spec)) is not None]
             if cycles or not is_ideal(spec.model):
-                exact = spec.model.exact
-                answer = of_contact(exact, at_omega, at_xi, cycles)
-                below = answer.down - bouncing if exact == spec.model else 0.0  # steps may bounce lower
-                fold, window = answer.fold, sum(spec.window)
+                answer = of_contact(spec.model.exact, at_omega, at_xi, cycles)
+                below, fold = answer.down - bouncing, answer.fold
+                exact = spec.model == spec.model.exact  # time steps may bounce lower
                 # just below a fold bouncing lasts longer than a window
-                if below > 0.0 and (fold is None or lifetime(fold, below) <= window):
+                if exact and below > 0.0 and (fold is None or lifetime(fold, below) <= sum(spec.window)):
                     answer = answer.contradicted(bouncing)
         answers.append(answer)
     return answers
