@@ -39,6 +39,11 @@ def test_a_transaction_is_all_or_nothing(ledger: Ledger):
     assert current(ledger).chunks_done == 1
 
 
+def test_what_is_committed_is_on_the_disk(ledger: Ledger):
+    """As `PRAGMA synchronous` says: 2 is FULL, which syncs the write-ahead log at each commit."""
+    assert ledger._writer.execute("PRAGMA synchronous").fetchone()[0] == 2
+
+
 def test_what_is_read_at_once_is_of_one_moment(ledger: Ledger):
     job = accept(ledger)
     with ledger.reading() as before:
