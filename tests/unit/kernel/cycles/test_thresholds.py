@@ -74,7 +74,7 @@ def test_a_torus_is_named_with_the_rotation_number_at_which_it_begins():
     mu = events.multiplier[events.kind == "neimark-sacker", 0][0]
     turn = abs(np.angle(mu)) / (2.0 * np.pi)
     reason = thresholds(0.45, 0.05).reason
-    assert reason.startswith("(1,1) ends at a neimark-sacker at Gamma = 0.749559")
+    assert reason.startswith("(1,1) ends at a neimark-sacker at Gamma = 0.74955")
     assert f"a torus begins with rotation number {turn:.6f}" in reason
 
 
