@@ -4,7 +4,7 @@ import { dropped } from "./form/pasted.js";
 import { connection, shared, takeToken } from "./lib/api.js";
 import { currentAddress, discardPending, link, navigate } from "./lib/address.js";
 import { watchConnection } from "./lib/connection.js";
-import { h } from "./lib/dom.js";
+import { h, keepFocus } from "./lib/dom.js";
 
 // A page is built with its root element, the address and a signal that is aborted when the page is left. It has
 // refresh(redraw): load again; and, where the address may change to another state of the same page, show().
@@ -28,7 +28,7 @@ async function showAddress() {
   const address = currentAddress();
   const [name = "", id] = address.path;
   const wanted = [name, name === "job" && id, address.query.jobs].join();
-  if (wanted === shown) return page?.show?.();
+  if (wanted === shown) return keepFocus(root, () => page?.show?.(), () => root.querySelector("[aria-current], .plot"));
   leaving.abort();
   leaving = new AbortController();
   document.getElementById("bar").replaceChildren();

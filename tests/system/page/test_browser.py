@@ -794,6 +794,10 @@ def test_a_click_on_a_cell_plays_its_trajectory(showing: Any):
         still = page.locator(".trajectory .player").get_attribute("data-phase")
         page.wait_for_timeout(120)
         assert page.locator(".trajectory .player").get_attribute("data-phase") == still
+        page.route("**/trajectory?*", lambda route: None)  # without an answer
+        page.locator(".panel .plot").press("ArrowRight")
+        page.keyboard.press("Enter")
+        page.locator(".trajectory .player").wait_for(state="hidden")  # it would seem to be of this cell
         page.get_by_role("button", name="Close").click()
         assert page.locator(".trajectory").is_hidden()
 
@@ -1021,6 +1025,10 @@ def test_the_keyboard_reaches_every_cell(showing: Any):
         page.get_by_role("button", name="Play").wait_for()
         page.keyboard.press("+")
         page.wait_for_url(re.compile("x0="))
+        page.locator("#status", has_text="over gravity Γ from").wait_for(state="attached")
+        page.go_back()
+        page.wait_for_url(re.compile("^((?!x0=).)*$"))
+        page.locator(".panel .plot:focus").wait_for()
         page.locator(".tabs a", has_text="Thresholds").focus()
         page.keyboard.press("Enter")
         page.locator(".tabs [aria-current]:focus", has_text="Thresholds").wait_for()
@@ -1068,8 +1076,9 @@ def test_the_legend_of_a_map_hides_modes_and_has_shares_of_the_cells_shown(
     with opened(browser, view(address, loop, "modes", xi=0.05)) as page:
         page.get_by_text("Hysteresis: going up").wait_for()
         shown, at_rest = picture(page), page.locator(".legend").get_by_role("button", name="at rest")
-        at_rest.click()
+        at_rest.press("Enter")
         wait_for(lambda: picture(page) != shown)
+        page.locator(":focus[aria-pressed=false]", has_text="at rest").wait_for()
         page.wait_for_url(re.compile("hide="))
         page.evaluate(_COUNT_READINGS)
         page.get_by_text("Table of what is shown").click()
@@ -1080,6 +1089,7 @@ def test_the_legend_of_a_map_hides_modes_and_has_shares_of_the_cells_shown(
         page.evaluate("location.hash += '&x0=0.3&x1=0.4&y0=0.5&y1=0.7'")
         page.get_by_text("Up and down agree in every cell shown").wait_for()
         assert page.locator(".panel .legend li").all_inner_texts() == ["at rest 100 %"]
+        assert "Eq. 25" not in page.locator(".panel .plot .texts").text_content()  # not in view
 
 
 def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(showing: Any):

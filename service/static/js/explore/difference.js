@@ -51,7 +51,5 @@ export class Difference extends PlaneView {
     return super.indicesInWindow().filter((cell) => this.differs[cell] === OTHER_MODE);
   }
 
-  columnsOfTable() {
-    return [...this.columnsOfPlane(), ...["first", "second"].map((name) => [name, (cell) => modeText(this[name], this.indexOf(cell))])];
-  }
+  columnsOfTable = () => [...this.columnsOfPlane(), ...["first", "second"].map((name) => [name, (cell) => modeText(this[name], this.indexOf(cell))])];
 }

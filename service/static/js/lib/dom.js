@@ -82,6 +82,17 @@ export function fileName(job, content, extension) {
   return `${name || job.id.slice(0, 8)}-${content}.${extension}`;
 }
 
+const nameOf = (element) => [element.tagName, element.id || element.ariaLabel || (element.closest("label") ?? element).textContent].join(" ");
+
+/** Make a `change` of what is in `root`; the focus goes on to what is there again, or has the same name, or else to `otherwise()`. */
+export function keepFocus(root, change, otherwise = () => null) {
+  const before = root.contains(document.activeElement) && document.activeElement;
+  change();
+  if (!before || document.activeElement === before) return;
+  const after = before.isConnected ? before : [...root.querySelectorAll(before.tagName)].find((element) => nameOf(element) === nameOf(before));
+  (after ?? otherwise())?.focus({ preventScroll: true });
+}
+
 export const announce = (text) => { document.getElementById("status").textContent = text; };
 
 /** `work`, called only after `milliseconds` without another call. */

@@ -1,13 +1,13 @@
 // Tables: plain ones, and long ones in pages, which can be copied and saved.
 
-import { button, copyButton, downloads, h } from "./dom.js";
+import { button, copyButton, downloads, h, keepFocus } from "./dom.js";
 import { count, plain } from "./format.js";
 
 const PAGE = 25; // rows
 
 /** A table in a region that scrolls. The first cell of a row names it; cells are texts or nodes. */
 export function table(label, titles, rows) {
-  const head = titles && h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col" }, title))));
+  const head = titles && h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col", style: title.includes(" ") ? null : "white-space: nowrap" }, title))));
   const cells = ([first, ...others]) => [h("th", { scope: "row" }, first), ...others.map((cell) => h("td", {}, cell))];
   const body = h("tbody", {}, rows.map((row) => h("tr", {}, cells(row))));
   return h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": label }, h("table", {}, head, body));
@@ -41,9 +41,10 @@ export class PagedTable {
     const { length } = items;
     this.first = Math.max(0, Math.min(this.first + turn, Math.ceil(length / PAGE) * PAGE - PAGE));
     const last = Math.min(this.first + PAGE, length);
-    this.body.replaceChildren(table(this.label, columns.map(([title]) => title), items.slice(this.first, last).map((item) => columns.map(([, text]) => text(item)))));
+    keepFocus(this.body, () => this.body.replaceChildren(table(this.label, columns.map(([title]) => title), items.slice(this.first, last).map((item) => columns.map(([, text]) => text(item))))));
     this.range.textContent = length ? `${count(this.first + 1)} to ${count(last)} of ${count(length)}` : "no rows";
     this.previous.hidden = !this.first;
     this.next.hidden = last === length;
+    if (turn) [this.next, this.previous].find((other) => !other.hidden && (turn > 0 ? this.next : this.previous).hidden)?.focus();
   }
 }

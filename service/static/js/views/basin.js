@@ -1,7 +1,7 @@
 // The basins of one cell: which attractor each start of the plane reaches.
 
 import { partsOf, query } from "../lib/api.js";
-import { h } from "../lib/dom.js";
+import { h, keepFocus } from "../lib/dom.js";
 import { number, share } from "../lib/format.js";
 import { AXES, axisColumn, exponentText, outcomeText, startName, startOf } from "../lib/physics.js";
 import { attractorColour, theme } from "../plot/colours.js";
@@ -41,9 +41,8 @@ export class Basin extends PlaneView {
       type: "button", className: "link", title: "See the attractor move",
       onclick: () => this.onSelect({ ...this.cell, direction: startName("attractor", attractor.attractor) }),
     }, attractorText(attractor)), " ", h("small", {}, share(attractor.fraction)));
-    this.legend.replaceChildren(
-      ...this.attractors.map(entry),
-      ...(undecided ? [legendEntry(theme().surface, "undecided ", h("small", {}, share(undecided)))] : []));
+    const others = undecided ? [legendEntry(theme().surface, "undecided ", h("small", {}, share(undecided)))] : [];
+    keepFocus(this.legend, () => this.legend.replaceChildren(...this.attractors.map(entry), ...others));
     const texts = [["basin entropy", entropy], ["boundary basin entropy", boundary]].filter(([, value]) => value !== null);
     this.entropies.textContent = texts.map(([name, value]) => `${name} ${number(value, 4)}`).join(", ");
   }
@@ -68,9 +67,7 @@ export class Basin extends PlaneView {
     return start?.kind === this.basin.attrs.plane && [start.phase ?? start.velocity, start.height ?? start.elongation];
   }
 
-  cellOf({ column, row }) {
-    return { ...this.cell, direction: startName(this.basin.attrs.plane, this.rows[row], this.columns[column]) };
-  }
+  cellOf = ({ column, row }) => ({ ...this.cell, direction: startName(this.basin.attrs.plane, this.rows[row], this.columns[column]) });
 
   columnsOfTable() {
     const [[, across], [, along]] = AXES_OF[this.basin.attrs.plane];

@@ -1,7 +1,7 @@
 // Cells on a rectangular plane: drawing them, pointing at one, stepping from one to the next, their legend.
 
 import { currentQuery, setQuery } from "../lib/address.js";
-import { choice, h } from "../lib/dom.js";
+import { choice, h, keepFocus } from "../lib/dom.js";
 import { share } from "../lib/format.js";
 import { axisColumn, clamp, clampIndex, isClose, nearestIndex } from "../lib/physics.js";
 import { classQuery, modeColour, theme } from "../plot/colours.js";
@@ -153,9 +153,10 @@ export class ClassLegend {
     };
     const parts = sharesAt(view.indicesInWindow(), ofCell);
     const shares = present.map((shown) => ({ ...shown, part: parts[shown.id] }));
-    this.element.replaceChildren(...shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
+    const entries = shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => toggle(id),
-    }, name), " ", h("small", {}, share(part, 2)))));
+    }, name), " ", h("small", {}, share(part, 2))));
+    keepFocus(this.element, () => this.element.replaceChildren(...entries));
   }
 
   /** The colours of the classes, as 32 bits; hidden ones have that of the surface. */

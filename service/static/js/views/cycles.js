@@ -59,9 +59,7 @@ export class Cycles extends PlotView {
     return (this.plot.box && nearestCycle(this.branches, this.plot.box, x, y)) ?? { gamma: Number(x.toPrecision(4)) };
   }
 
-  cellsShown() {
-    return this.branches.branches.flat().filter(({ gamma, flight_time: time, violations }) => !violations && this.isVisible(gamma, time));
-  }
+  cellsShown = () => this.branches.branches.flat().filter(({ gamma, flight_time: time, violations }) => !violations && this.isVisible(gamma, time));
 
   #columns(...digits) {
     return [["Γ", ({ gamma }, whole) => exact(gamma, whole, digits[0])], ...this.common(this.spring),
@@ -89,9 +87,7 @@ export class Cycles extends PlotView {
 
   at = ({ gamma, flight_time: time }) => [gamma, time];
 
-  describe(cell) {
-    return `${cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`} · ${this.textOf(this.spring)}`;
-  }
+  describe = (cell) => `${cell.periods ? describeCycle(cell) : `Γ = ${number(cell.gamma)}`} · ${this.textOf(this.spring)}`;
 
   cellOf(cell) {
     return cell.periods ? startOn(this.place, cell) : null;

@@ -31,7 +31,7 @@ export class JobView {
     Object.assign(this, { root, signal, id: path[1] });
     this.heading = h("h1", { tabindex: "-1" }, "…");
     this.problem = problemLine();
-    this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => navigate([]), error: this.problem.show });
+    this.summary = new JobSummary(this.heading, { change: (job) => this.#onChange(job), delete: () => signal.aborted || navigate([]), error: this.problem.show });
     this.settling = h("p", { className: "notice settling" });
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     const ask = async () => {
@@ -110,9 +110,11 @@ export class JobView {
   }
 
   #onChange(job) {
+    if (this.signal.aborted) return; // its title would be that of another page
     if (job.id !== this.id) return navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
     this.job.name = job.name; // the rest follows when it is polled
     this.#describe();
+    announce(`${titleOf(job)}: ${job.state}.`);
     this.#pollAfter(0);
   }
 
@@ -121,13 +123,11 @@ export class JobView {
     const tabs = this.#tabs();
     const current = tabs[path[2]] ? path[2] : Object.keys(tabs)[0];
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
-    const isFocused = this.tabs.contains(document.activeElement);
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
       h("a", {
         href: target(tab, query), "aria-current": tab === current ? "page" : undefined,
         onclick: (event) => { event.currentTarget.href = target(tab, currentQuery()); }, // sliders may have moved since
       }, title)));
-    if (isFocused) this.tabs.querySelector("[aria-current]").focus(); // the link pressed is replaced
     this.leaving?.abort();
     this.leaving = new AbortController(); // of this tab
     this.controls.replaceChildren();

@@ -148,9 +148,7 @@ export class AttractorDiagram extends AttractorView {
     return { column, k: clampIndex(from.k + up, Math.max(this.attractorsOf({ column }).length, 1)) };
   }
 
-  at({ column, k }) {
-    return [this.columns[column], this.attractorsOf({ column })[k]?.times[0]];
-  }
+  at = ({ column, k }) => [this.columns[column], this.attractorsOf({ column })[k]?.times[0]];
 }
 
 /** The map: the attractor that most drops reach, hatched where several coexist. */

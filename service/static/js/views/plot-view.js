@@ -174,12 +174,14 @@ export class PlotView {
   #zoom(window, isStep = true) {
     const query = windowQuery(window);
     const isPossible = window ? windowIn(query) : this.window;
-    if (isPossible && !this.isBeside) setQuery(query, isStep);
+    if (!isPossible || this.isBeside) return;
+    setQuery(query, isStep);
+    this.#announceWindow();
   }
 
   #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
-  #updateTable = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update());
-  #updateLegend = debounced(ANNOUNCED_MS, () => this.signal.aborted || !this.isLoaded || this.showLegend());
+  #announceWindow = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.plot.axes.textContent));
+  #updateAside = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update() || !this.isLoaded || this.showLegend());
 
   cellsShown() {
     const hidden = this.classes && this.legend.hidden; // once: there may be a million cells
@@ -238,8 +240,7 @@ export class PlotView {
     this.unzoom.hidden = !this.window;
     if (this.paths().join() !== this.requested) return this.load();
     this.plot.redraw();
-    this.#updateTable();
-    this.#updateLegend();
+    this.#updateAside();
   }
 
   async #load(signal) {
@@ -248,6 +249,7 @@ export class PlotView {
     this.plot.element.setAttribute("aria-busy", "true");
     const paths = this.paths();
     this.requested = paths.join();
+    this.plot.element.dataset.awaited = this.awaited?.() ?? "";
     try {
       const results = await Promise.all(paths.map((path) => requestFitting(path, { signal: AbortSignal.any([signal, this.signal]) })));
       if (this.signal.aborted) return;
@@ -273,7 +275,7 @@ export class PlotView {
     this.measured?.update();
     this.plot.draw();
     this.events?.update();
-    this.#updateTable();
+    this.#updateAside();
   }
 
   /** An error takes the place of the plot unless earlier data are still shown. */

@@ -2,7 +2,7 @@
 
 import { link } from "../lib/address.js";
 import { deleteJob, requestJson } from "../lib/api.js";
-import { h, workButton } from "../lib/dom.js";
+import { announce, h, keepFocus, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisText, axisValues } from "../lib/physics.js";
 
@@ -119,15 +119,15 @@ function showActions(root, job, on) {
   const actions = UNFINISHED.has(job.state) ? ["cancel"] : [...(RESUMABLE.has(job.state) ? ["resume"] : []), "delete"];
   const shown = [...actions, titleOf(job)].join();
   if (root.dataset.actions === shown) return;
-  const hadFocus = root.contains(document.activeElement);
   root.dataset.actions = shown;
   const run = async (action) => {
     if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
     if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
     await deleteJob(job);
+    announce(`${titleOf(job)} is deleted.`);
     on.delete();
   };
   const title = (action) => action[0].toUpperCase() + action.slice(1);
-  root.replaceChildren(...actions.map((action) => workButton(title(action), () => run(action), on.error, { className: "quiet", "aria-label": `${title(action)} ${titleOf(job)}` })));
-  if (hadFocus) root.querySelector("button")?.focus();
+  const buttons = actions.map((action) => workButton(title(action), () => run(action), on.error, { className: "quiet", "aria-label": `${title(action)} ${titleOf(job)}` }));
+  keepFocus(root, () => root.replaceChildren(...buttons), () => buttons[0]);
 }
