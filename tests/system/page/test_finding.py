@@ -232,7 +232,11 @@ def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: l
     with opened(browser, f"{address}/#/job/{jobs[0]}/details") as page, Client(address) as client:
         page.get_by_role("button", name="Audit this sweep").click()
         page.get_by_role("region", name="Audit by question").wait_for()
-        sentence = client.job(jobs[0]).audit(progress=False).attrs["sentence"]
+        audit = client.job(jobs[0]).audit(progress=False)
+        sentence = audit.attrs["sentence"]
+        texts = page.get_by_role("region", name="Audit by question").locator("td").all_inner_texts()
+        low, high = (float(text.removesuffix(" %")) / 100 for text in texts[4:6])
+        assert low <= audit.low.values.flat[0] <= audit.high.values.flat[0] <= high
         assert page.get_by_text(f"{sentence}.").is_visible()
         shared = client.job(jobs[0]).share(tmp_path / "shared.html").as_uri()
     size = {"width": 1280, "height": 800}

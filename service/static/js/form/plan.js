@@ -53,10 +53,10 @@ export class Plan {
     const useButton = ({ effort, grid, spec }) => button("Use", () => this.use(JSON.parse(spec)), { "aria-label": `Use ${effort}, ${grid}` });
     const settings = table("Settings", ["effort", "ξ × Ω × Γ", "cells", "time", "wrong", "at most", "size", ""], rows.map((row) => [
       h("span", {}, row.effort, Boolean(row.recommended) && h("small", { className: "recommended" }, " recommended")),
-      row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high), bytes(Number(row.bytes)), useButton(row),
+      row.grid, count(row.cells), duration(row.seconds), share(row.share), share(row.high, 3, true), bytes(Number(row.bytes)), useButton(row),
     ]));
     this.table.append(settings, ...(note ? [h("p", { className: "note" }, `Note: ${note}.`)] : []));
     const { effort, grid, high } = rows.find(({ recommended }) => recommended);
-    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high)} wrong${note ? `; ${note}` : ""}.`);
+    announce(`Recommended: ${effort}, ${grid} cells, at most ${share(high, 3, true)} wrong${note ? `; ${note}` : ""}.`);
   }
 }

@@ -22,7 +22,14 @@ export const plain = (text) => text.replace(/^–$/, "").replaceAll("−", "-")
 
 /** A number in a table; in files it is not rounded. */
 export const exact = (value, whole, digits) => (whole && !Number.isNaN(value) ? String(value) : number(value, digits));
-export const share = (fraction, digits = 3) => (Number.isNaN(fraction) ? "–" : `${number(100 * fraction, digits)} %`);
+/** A bound in `digits` digits, rounded so that it remains one: 1.07e-12 is not below 10⁻¹². */
+export function bound(value, digits, isUpper = true) {
+  const unit = 10 ** (Math.floor(Math.log10(value)) + 1 - digits);
+  return number(value && unit * (isUpper ? Math.ceil(value / unit - 1e-9) : Math.floor(value / unit + 1e-9)), digits); // 100 · 0.29 is less than 29
+}
+
+/** A share in percent; as a bound where `isUpper` says of which side. */
+export const share = (fraction, digits = 3, isUpper = null) => (Number.isNaN(fraction) ? "–" : `${(isUpper === null ? number : bound)(100 * fraction, digits, isUpper)} %`);
 export const count = (value) => String(value).replace(/\B(?=(\d{3})+$)/g, ","); // toLocaleString takes 20 ms the first time
 export const plural = (n, singular) => `${count(n)} ${singular}${n === 1 ? "" : "s"}`;
 

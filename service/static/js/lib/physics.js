@@ -1,6 +1,6 @@
 // Axes of a sweep, outcomes of its cells, starts and cycles, Eq. 25: what the page knows of the model.
 
-import { exact, number } from "./format.js";
+import { bound, exact, number } from "./format.js";
 
 export const AXES = ["gamma", "omega", "xi"];
 export const SYMBOL = { gamma: "Γ", omega: "Ω", xi: "ξ" };
@@ -94,12 +94,6 @@ export const exponentText = (exponent, error) => `${number(exponent, 3)}${Number
 /** The largest Lyapunov exponent of a cell of a result: the first of as many as each cell has. */
 export const exponentOf = ({ lyapunov, lyapunov_error: errors }, cell) => lyapunov[(cell * lyapunov.length) / errors.length];
 
-/** A bound in one digit, rounded up: 1.07e-12 is not below 10⁻¹². */
-function boundText(bound) {
-  const nearest = Number(bound.toPrecision(1));
-  return number(nearest < bound ? nearest + 10 ** Math.floor(Math.log10(nearest)) : nearest, 1);
-}
-
 /** What a table says of cells, as columns: of the `variables` that any of them has. `locate(cell)`: the variables that hold a cell, and its index in them. */
 export function cellColumns(variables, locate) {
   const column = (title, name, text, isCommon) => variables[name] && [title, (cell, whole) => {
@@ -111,7 +105,7 @@ export function cellColumns(variables, locate) {
     column("λ₁", "lyapunov", (cells, i, whole) => (whole ? exact(exponentOf(cells, i), whole) : exponentText(exponentOf(cells, i), cells.lyapunov_error[i]))),
     column("error of λ₁", "lyapunov_error", (cells, i, whole) => whole && exact(cells.lyapunov_error[i], whole), true),
     column("|μ|", "multiplier", ({ multiplier }, i, whole) => exact(multiplier[i], whole, Math.max(3, digitsTo(multiplier[i], 1 - multiplier[i])))), // never 1
-    column("flight error ≤ (rad)", "flight_error", (cells, i, whole) => (whole ? exact : boundText)(cells.flight_error[i], whole)),
+    column("flight error ≤ (rad)", "flight_error", (cells, i, whole) => (whole ? exact : bound)(cells.flight_error[i], whole || 1)),
     column("cell", "computed", (cells, i) => (cells.outcome[i] === OUTCOME.missing ? "" : ["taken from its block", "computed"][Number(cells.computed[i])])),
   ].filter(Boolean);
 }

@@ -2,7 +2,7 @@
 
 import { link } from "../lib/address.js";
 import { SERVICE, partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
-import { announce, downloads, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, downloads, h, keepFocus, problemLine, workButton } from "../lib/dom.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
 import { axisText, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
@@ -24,7 +24,7 @@ export class Details {
   update(job) {
     this.job = job;
     this.snippets.show(job.spec);
-    this.root.replaceChildren(h("div", {},
+    keepFocus(this.root, () => this.root.replaceChildren(h("div", {},
       h("h2", {}, "Origin"),
       table("Origin of the sweep", null, origin(job, this.software)),
       h("h2", {}, "Specification"),
@@ -38,7 +38,7 @@ export class Details {
         h("pre", { tabindex: "0" }, `xarray.open_zarr("${SERVICE}/v1/jobs/${job.id}/zarr")`),
         downloads(wholeStudy(job, [["NetCDF", "nc"], ["Parquet", "parquet"]])),
       ],
-    ));
+    )));
   }
 }
 
@@ -101,8 +101,8 @@ function auditOf(job) {
 function questionTable(audit) {
   const contacts = [audit.against.data].flat();
   const titles = contacts.flatMap((against) => audit.question.data.map((question) => (contacts.length > 1 ? `${question} (${against})` : question)));
-  const texts = (names, text, i) => names.map((name) => text(audit[name].data[i]));
-  const rows = titles.map((title, i) => [title, ...texts(["sampled", "changed", "undecided"], String, i), ...texts(["share", "low", "high"], share, i)]);
+  const rows = titles.map((title, i) => [title, ...["sampled", "changed", "undecided"].map((name) => String(audit[name].data[i])),
+    ...[["share", null], ["low", false], ["high", true]].map(([name, isUpper]) => share(audit[name].data[i], 3, isUpper))]);
   return table("Audit by question", ["question", "drawn", "changed", "undecided", "share", "at least", "at most"],
     rows.filter((_, i) => audit.sampled.data[i] > 0));
 }
