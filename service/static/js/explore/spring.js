@@ -19,18 +19,17 @@ const LONGEST = 6; // plate periods of a cycle
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };
 const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Point at a branch to read it, press to start on it.";
 const CONTACTS = [["ideal", "ideal plate"], "rigid", "soft"];
-const RESTITUTION = { ideal: 0, rigid: 0.3, soft: 0.01 };
-const PENETRATION = 0.001;
+/** The parameters of each contact that can be typed, with their defaults. */
+const TYPED = { ideal: {}, rigid: { restitution: 0.3 }, soft: { restitution: 0.01, penetration: 0.001 } };
+const LABELS = { restitution: "e", penetration: "depth" };
 const LIMITS = { restitution: { max: 0.999 }, penetration: { min: 1e-12, max: 1 } }; // of contacts that have branches
 const contactName = () => ["rigid", "soft"].find((name) => name === currentQuery().contact) ?? "ideal";
 const longest = () => clamp(Math.round(queryNumber("periods", 3)), 1, LONGEST);
 
 function contactOf() {
   const name = contactName();
-  const restitution = queryNumber("restitution", RESTITUTION[name], LIMITS.restitution);
-  const penetration = queryNumber("penetration", PENETRATION, LIMITS.penetration);
-  if (name === "ideal") return { kind: "rigid" };
-  return name === "rigid" ? { kind: "rigid", restitution } : { kind: "soft", restitution, penetration, adhesive: true };
+  const typed = Object.entries(TYPED[name]).map(([field, usual]) => [field, queryNumber(field, usual, LIMITS[field])]);
+  return { kind: name === "soft" ? name : "rigid", ...Object.fromEntries(typed), ...(name === "soft" && { adhesive: true }) };
 }
 
 /** The cycles of the spring, and the flights of the motion shown. */
@@ -63,12 +62,8 @@ export class Explore extends Cycles {
     const modes = range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]);
     const cycles = choice("Cycles up to", modes, "", (periods) => setQuery({ periods }));
     this.showChoices = () => {
-      const name = contactName();
-      [contact.control.value, cycles.control.value] = [name, longest()];
-      typed.replaceChildren(...[
-        name !== "ideal" && numberInput("e", "restitution", RESTITUTION[name], LIMITS.restitution),
-        name === "soft" && numberInput("depth", "penetration", PENETRATION, LIMITS.penetration),
-      ].filter(Boolean));
+      [contact.control.value, cycles.control.value] = [contactName(), longest()];
+      typed.replaceChildren(...Object.entries(TYPED[contactName()]).map(([field, usual]) => numberInput(LABELS[field], field, usual, LIMITS[field])));
     };
     this.showChoices();
     return [sliders(this, AXES), contact, typed, cycles];
@@ -123,7 +118,8 @@ export class Explore extends Cycles {
     const [content, { gamma }, { trajectory }] = [super.content(), this.place, this.motion];
     const flights = (ctx, box) => {
       verticalLine(ctx, box, box.x.pixel(gamma), box.theme.cursor);
-      for (const time of trajectory && isClose(trajectory.gamma, gamma) ? new Set(trajectory.flights) : []) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
+      const isOfPlot = trajectory && isClose(trajectory.gamma, gamma) && this.described.startsWith(`${branchesPath(trajectory, GRID.gamma.at(-1), trajectory.contact, longest())},`);
+      for (const time of isOfPlot ? new Set(trajectory.flights) : []) disc(ctx, box.theme.rest, box.x.pixel(gamma), box.y.pixel(time), 3);
     };
     return { ...content, layers: [...content.layers, flights] };
   }

@@ -15,13 +15,13 @@ const STARTED = { periods: 16, samples: 240 };
 const LONGEST = 24; // plate periods of a cycle that is played whole
 /** Of a return map, which needs many flights and nothing else of the motion. */
 const MAPPED = { periods: 120, samples: 2 };
-const SLOW_MS = 2500; // after which a note explains the delay of another motion
+const SLOW_MS = 300; // after which a note takes the place of the motion before: it would seem to be of this cell
 const MAX_LISTED = 8; // flights, or numbers of a variable
 const SAME_CYCLE = 1e-4; // rad between flight times; no start finds most cycles of several bounces that cells settled to
 const TIMEOUT_MS = 180_000; // the first trajectory may wait for the kernels to be compiled
 /** Of each kind of start: whose motion it is, and in words where it begins. */
 const STARTS = {
-  cycle: ["a cycle", (start, job) => (hasOwnCycles(job) ? "on a cycle of this contact" : "on a cycle in closed form")],
+  cycle: ["a cycle", (start, job) => (hasOwnCycles(job) ? `on a cycle of ${job.spec.model.kind === "stepped" ? "the soft contact that its steps approximate" : "this contact"}` : "on a cycle in closed form")],
   drop: ["a drop", ({ height, phase }) => `let go ${number(height)} above the plate at phase ${number(phase)}`],
   contact: ["a start", ({ elongation, velocity }) => `in contact, elongation ${number(elongation)}, velocity × Ω ${number(velocity)}`],
   attractor: ["an attractor", (start) => `on attractor ${start.number} by share of drops`],
@@ -60,6 +60,11 @@ export class TrajectoryPanel {
     this.request?.abort();
     const { signal } = this.request = new AbortController();
     this.root.hidden = false;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => {
+      this.note.hidden = false;
+      this.root.classList.add("empty");
+    }, this.trajectory ? SLOW_MS : 0);
     const start = startOf(cell.direction);
     const [gamma, omega, xi] = AXES.map((axis) => axisText(cell[axis], axisValues(job.spec[axis] ?? [])));
     const [moving, textOf] = STARTS[start?.kind] ?? ["a cell", () => (cell.direction === "rest" ? "from rest" : `ramp ${cell.direction}`)];
@@ -75,7 +80,7 @@ export class TrajectoryPanel {
     let path, options, cycle = start?.periods ?? 0; // cycle: its plate periods
     const load = (periods) => {
       [path, options] = requestOf(job, cell, { ...length, periods });
-      return this.#load(path, { ...options, signal }, start);
+      return this.#load(path, { ...options, signal }, start, model);
     };
     try {
       if (!start && job.id) cycle = await this.#showValues(job, cell, signal).catch(() => 0); // complete without values
@@ -99,16 +104,14 @@ export class TrajectoryPanel {
     if (!options.body && (start || cycle)) this.#offerProof(path, signal, cycle);
   }
 
-  /** Play a motion; a note tells that it is computed, beside another one after SLOW_MS. */
-  async #load(path, options, start) {
-    clearTimeout(this.timer);
-    this.note.hidden = Boolean(this.trajectory);
-    this.timer = setTimeout(() => { this.note.hidden = false; }, SLOW_MS);
-    this.trajectory = await requestMotion(path, options).finally(() => {
+  /** Play a motion on the contact `model`. */
+  async #load(path, options, start, model) {
+    const trajectory = await requestMotion(path, options).finally(() => {
       if (options.signal.aborted) return; // another one is loaded, or none
       clearTimeout(this.timer);
       this.note.hidden = true;
     });
+    this.trajectory = { ...trajectory, contact: model };
     this.#showError(null);
     this.player.show(this.trajectory);
     this.readout.textContent = describeMotion(this.trajectory, start);
@@ -128,6 +131,7 @@ export class TrajectoryPanel {
       const listed = flights.length > MAX_LISTED ? `The first ${MAX_LISTED} of ${flights.length} flights` : "Flights";
       const about = flights.length ? ` ${listed}:` : "";
       this.proof.replaceChildren(h("strong", {}, proof.data), `: ${says.data}.${about}`, h("ul", {}, flights.slice(0, MAX_LISTED)));
+      if (document.activeElement === document.body) this.title.focus({ preventScroll: true }); // the button pressed is gone
     };
     const failed = (error) => { if (!signal.aborted) this.proof.textContent = error.message; };
     this.proof.replaceChildren(workButton(cycle ? "Prove this cycle" : "Look for a cycle to prove", prove, failed, { className: "quiet", busy: "Proving …" }));
