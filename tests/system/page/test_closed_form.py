@@ -198,6 +198,15 @@ def test_branches_of_cells_follow_a_sweep_that_runs(
             wait_for(lambda: len(branch_pixels(page)) > 200)
 
 
+def test_branches_are_drawn_at_their_frequency_alone(browser: Any, address: str, loop: str):
+    with opened(browser, f"{address}/#/job/{loop}/diagram?omega=0.6&xi=0.05&branches=1") as page:
+        wait_for(lambda: len(branch_pixels(page)) > 200)
+        page.route("**/v1/orbits?*", lambda route: None)  # without an answer
+        page.get_by_role("slider").first.press("ArrowRight")
+        wait_shown(page, omega=0.65)
+        assert branch_pixels(page) == []
+
+
 def test_folds_through_the_thresholds(browser: Any, address: str, loop: str):
     with opened(browser, f"{address}/#/job/{loop}/thresholds?xi=0.05") as page:
         wait_shown(page, xi=0.05)

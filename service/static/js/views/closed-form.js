@@ -4,7 +4,7 @@ import { currentQuery, queryChanges, setQuery } from "../lib/address.js";
 import { isHandledElsewhere, partsOf, query, requestDataset } from "../lib/api.js";
 import { h, latest } from "../lib/dom.js";
 import { number } from "../lib/format.js";
-import { SYMBOL, clamp, contactQuery, cycleText, hasOwnCycles, isIdeal, startName } from "../lib/physics.js";
+import { SYMBOL, clamp, contactQuery, cycleText, hasOwnCycles, isClose, isIdeal, startName } from "../lib/physics.js";
 import { circle, curve, disc, isInBox, legendLine, polyline } from "../plot/drawing.js";
 
 const FOLD_MODES = "1-1,1-2";
@@ -25,9 +25,10 @@ const EVENTS = {
 
 export const eventName = (kind) => EVENTS[kind] ?? kind;
 
-/** Cycles over a plot: a check box with a note beside it, and their data, null where they are not shown. */
+/** Cycles over a plot: a check box with a note beside it, and their data, null where they are not shown, with the values of the axes at which they are. */
 class CyclesOverlay {
   data = null;
+  at = (fixed) => (Object.entries(fixed).every(([axis, value]) => isClose(value, this.data?.place[axis])) ? this.data : null); // as the view shows them
   isComplete = true; // whether no cell that is computed later changes the data
 
   /** `parameter` of the address; `path()` of the result, null where there is none; `read(result)` gives the data. */
@@ -35,7 +36,7 @@ class CyclesOverlay {
     Object.assign(this, { view, parameter, path, read });
     this.input = h("input", { type: "checkbox", onchange: () => setQuery({ [parameter]: this.input.checked ? 1 : null }) });
     this.note = h("span", { className: "note", role: "status" });
-    const title = `${hasOwnCycles(view.job) ? "Of the sweep's own contact, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
+    const title = `${hasOwnCycles(view.job) ? "Of the contact that the sweep has, or its steps approximate, followed by workers" : "In closed form, on an ideal plate without restitution"}; unstable cycles too`;
     this.element = h("span", { className: "closed-form", hidden: path() === null }, h("label", { title }, this.input, ` ${label}`), " ", this.note);
     this.load = latest((signal) => this.#load(signal));
     queryChanges.addEventListener("change", () => this.update(), { signal: view.signal });
@@ -53,11 +54,11 @@ class CyclesOverlay {
 
   async #load(signal) {
     if (this.isComplete) return; // since this was due
-    const path = this.requested;
+    const [path, { place }] = [this.requested, this.view];
     this.note.textContent = path ? "computing …" : "";
     try {
       const result = path && await requestDataset(path, { signal });
-      Object.assign(this, { data: result && this.read(result), isComplete: path === this.requested && (result?.attrs.complete ?? true) });
+      Object.assign(this, { data: result && { ...this.read(result), place }, isComplete: path === this.requested && (result?.attrs.complete ?? true) });
       this.note.textContent = "";
     } catch (error) {
       if (error.name === "AbortError") return;

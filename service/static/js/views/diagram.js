@@ -128,8 +128,9 @@ export class Diagram extends PlotView {
   }
 
   get cycles() {
-    const cycles = this.overlay?.data;
-    return cycles?.along === this.lines[0]?.along ? cycles : null;
+    const [{ along, fixed } = {}] = this.lines;
+    const cycles = along && this.overlay?.at(fixed);
+    return cycles?.along === along ? cycles : null;
   }
 
   whole() {

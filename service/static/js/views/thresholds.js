@@ -20,6 +20,8 @@ const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell 
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
+  awaited = () => (this.overlay && !this.requested.includes("predict=none") ? "what the closed form predicts" : "");
+  folds = () => this.overlay?.at({ xi: this.xi });
   marks = () => [this.edges.length && "thresholds beyond the grid", this.isUndecided && "undecided ones"];
 
   constructor(root, view) {
@@ -37,9 +39,7 @@ export class Thresholds extends PlotView {
 
   #path = (parameters) => `/v1/jobs/${this.job.id}/threshold?${query({ xi: this.place.xi, ...parameters })}`;
 
-  filePath() {
-    return this.#path({ ...this.windowOn("omega", "gamma"), predict: this.overlay?.data ? null : "none" });
-  }
+  filePath = () => this.#path({ ...this.windowOn("omega", "gamma"), predict: this.folds() ? null : "none" });
 
   read([result]) {
     this.rows = partsOf(result, "omega");
@@ -71,7 +71,7 @@ export class Thresholds extends PlotView {
       title: this.textOf({ xi: this.xi }),
       legend: this.#legend(),
       message: isEmpty ? reason : null,
-      layers: [(ctx, box) => this.overlay?.data && drawFolds(ctx, box, this.overlay.data), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
+      layers: [(ctx, box) => this.folds() && drawFolds(ctx, box, this.folds()), (ctx, box) => this.#draw(ctx, box), (ctx, box) => this.measured.draw(ctx, box)],
     };
   }
 
@@ -104,7 +104,7 @@ export class Thresholds extends PlotView {
     const triangle = (ctx, x, y, theme) => drawTriangle(ctx, x + 12, y - 4 * beyond, beyond, theme[this.series[0].direction]);
     return [
       ...(hasSpring(this.job) ? [["Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.threshold, 1.6, x, y, CURVE_DASH)]] : []),
-      ...(this.overlay?.data ? foldLegend(ofOtherPlate(this.job)) : []),
+      ...(this.folds() ? foldLegend(ofOtherPlate(this.job)) : []),
       ...this.series.map(({ name, direction }) => [name, (ctx, x, y, theme) => {
         legendLine(ctx, theme[direction], 1.2, x, y);
         drawMarker(ctx, [x + 12, y], 3.4, theme[direction], direction, theme.surface);
@@ -117,7 +117,7 @@ export class Thresholds extends PlotView {
   computed = () => (x) => this.series.map(({ way }) => this.nearest(x).row[way]).filter(Number.isFinite);
 
   nearest(x, y) {
-    const fold = this.overlay?.data && this.plot.box && nearestCycle(this.overlay.data, this.plot.box, x, y, overOmega);
+    const fold = this.folds() && this.plot.box && nearestCycle(this.folds(), this.plot.box, x, y, overOmega);
     return { row: this.rows[nearestIndex(this.omega, x)], y, fold };
   }
 
@@ -128,13 +128,9 @@ export class Thresholds extends PlotView {
 
   at = ({ row, y }) => [row.omega, y];
 
-  describe(cell) {
-    return `${cell.fold ? `${describeEvent(cell.fold)} · Ω = ${number(cell.fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
-  }
+  describe = (cell) => `${cell.fold ? `${describeEvent(cell.fold)} · Ω = ${number(cell.fold.omega, 7)}; ` : ""}${super.describe(cell)}`;
 
-  cellsShown() {
-    return this.rows.filter(({ omega }) => this.isVisible(omega)).map((row) => ({ row }));
-  }
+  cellsShown = () => this.rows.filter(({ omega }) => this.isVisible(omega)).map((row) => ({ row }));
 
   columnsOfTable() {
     const gammaText = (gamma) => axisText(gamma, this.grid.gamma);
