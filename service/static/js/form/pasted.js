@@ -15,12 +15,13 @@ export class PastedSpecification {
     this.take = debounced(DELAY_MS, async () => {
       this.problem.show(null);
       const text = this.text.value.trim();
+      const isCurrent = () => text === this.text.value.trim();
       if (!text) return;
       try { // the service reads it first: each browser refuses in words of its own
         await requestJson("/v1/jobs?validate_only=true", { method: "POST", body: text });
-        taken(JSON.parse(text));
+        if (isCurrent()) taken(JSON.parse(text));
       } catch (error) {
-        this.problem.showInView(error);
+        if (isCurrent()) this.problem.showInView(error);
       }
     });
     this.text = h("textarea", { rows: 12, spellcheck: false, "aria-label": "Specification as JSON", placeholder: '{"protocol": {"kind": "basin"}, "gamma": 1.2, …}', oninput: this.take });
