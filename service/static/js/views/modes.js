@@ -95,12 +95,11 @@ export class Modes extends PlaneView {
     return `Hysteresis: going up and down lead ${shares} of the cells shown.`;
   }
 
-  whole() {
-    return windowOf(this.source.grid.gamma, this.source.grid.omega, true);
-  }
+  whole = () => windowOf(this.source.grid.gamma, this.source.grid.omega, true);
 
   content() {
-    const { present } = this.classes;
+    const [{ present }, { x0, x1, y0, y1 }] = [this.classes, this.visible()];
+    const isCrossed = Array.from({ length: 2001 }, (_, i) => threshold(y0 + (i * (y1 - y0)) / 2000, this.xi)).some((gamma) => gamma >= x0 && gamma <= x1);
     return {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
       title: `${this.prefix}${this.textOf({ xi: this.xi })}${this.isTwoWay ? `, ramp ${this.loadedDirection}` : ""}`,
@@ -108,7 +107,7 @@ export class Modes extends PlaneView {
         ...(this.isPreview ? [["not computed yet: the colour of the nearest cell"]] : []),
         ...[["mode", "up and down differ"], ["flights", "up and down differ in flights alone"]].filter(([kind]) => this.cells.hysteresis?.includes(HYSTERESIS[kind]))
           .map(([kind, name]) => [name, (...at) => hatchSymbol(...at, kind === "mode")]),
-        ...(hasSpring(this.job) ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
+        ...(hasSpring(this.job) && isCrossed ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],
       message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => hasSpring(this.job) && drawThresholdCurve(ctx, box, this.xi)],
