@@ -42,7 +42,6 @@ export class SweepList {
     this.bulk = h("div", { className: "actions" }, this.compare, this.remove);
     this.selection = h("div", { className: "selection" }, all, this.chosen, this.bulk);
     this.list = h("ol", { className: "jobs", "aria-label": "Sweeps" });
-    this.empty = h("p", { className: "note", hidden: true });
     this.problem = problemLine();
     this.notice = h("p", { className: "notice", role: "status" });
     this.range = h("span", { className: "note", role: "status" });
@@ -51,7 +50,7 @@ export class SweepList {
     this.intro = introduction();
     root.replaceChildren(
       h("h1", { id: "sweeps", tabindex: "-1" }, "Sweeps"), this.intro, this.notice, this.filters, this.problem.element,
-      this.selection, this.empty, this.list, h("div", { className: "controls" }, this.previous, this.next, this.range));
+      this.selection, this.list, h("div", { className: "controls" }, this.previous, this.next, this.range));
     this.#showSelection();
     this.show();
   }
@@ -121,14 +120,12 @@ export class SweepList {
     this.following = others.next;
     const before = (this.cursors.length - 1) * PAGE_SIZE;
     const isFiltered = [...new FormData(this.filters)].some(([name, value]) => value && name !== "order");
-    const foundText = isFiltered ? `${plural(others.total, "sweep")} found` : "";
+    const foundText = isFiltered ? (others.total ? `${plural(others.total, "sweep")} found` : "No sweep matches.") : others.total ? "" : "No sweeps yet.";
     this.previous.hidden = !before;
     this.next.hidden = others.next === null;
     const pinnedText = pinned.total ? `, with ${count(pinned.total)} pinned` : "";
     const range = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinnedText}`;
     setText(this.range, before || others.next ? range : foundText);
-    this.empty.hidden = others.total > 0;
-    this.empty.textContent = isFiltered ? "No sweep matches." : "No sweeps yet.";
     this.intro.hidden = others.total > 0 || isFiltered;
     this.filters.hidden = !others.total && !isFiltered;
     this.selection.hidden = !others.total;
@@ -161,7 +158,7 @@ export class SweepList {
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem" });
-    const summary = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
+    const summary = new JobSummary(name, { change: (changed) => { announce(`${titleOf(changed)}: ${changed.state}.`); this.refresh(); }, delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
     const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), summary.about),
       summary.progress, time, summary.actions, summary.notice, error);
     const update = (current) => {
