@@ -263,7 +263,7 @@ def job_view(
     return JobView(
         **vars(job)
         | {
-            "progress": job.progress(time.time()),
+            "progress": job.progress(time.time(), compiling=compiling is not None),
             "notice": notice or job.notice,
             "repairing": job.repairing,
             "finished": None if job.repairing else job.finished,

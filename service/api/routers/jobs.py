@@ -221,7 +221,7 @@ async def stream_job_events(service: ServiceDep, job: JobDep) -> AsyncIterator[S
     They are named `progress` while the job is queued or running; the last one, of a finished job, `end`.
     """
     async for record, compiling in service.progress_stream.changes(job.id):
-        progress = record.progress(time.time())
+        progress = record.progress(time.time(), compiling=compiling is not None)
         left = progress["eta_seconds"]
         event = {
             "state": record.state, "percent": progress["percent"],

@@ -54,6 +54,8 @@ def test_the_time_left_falls_between_chunks_to_half_at_least():
     assert record(seconds_left=16.0, progressed=None).eta_seconds(104.0) is None
     assert record(seconds_left=None).eta_seconds(104.0) is None
     assert record(seconds_left=16.0, state=JobState.DONE).eta_seconds(104.0) is None
+    shown = [job.progress(104.0, compiling=compiling)["eta_seconds"] for compiling in (False, True)]
+    assert shown == [16.0, None]
 
 
 @pytest.mark.parametrize(("first_cells", "needed"), [(100, 40 + 60), (91, 40 + 55)])
