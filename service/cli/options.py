@@ -2,7 +2,8 @@
 
 import errno
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime
 from functools import wraps
 from inspect import cleandoc
@@ -89,15 +90,27 @@ class CommandGroup(click.Group):
             with formatter.section(heading):
                 formatter.write_dl([(name, self.commands[name].get_short_help_str(80)) for name in names])
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the arguments, or print the help."""
+        with _messages():
+            return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> object:
-        """Run the command; exceptions raised on purpose and those of the file system become messages."""
-        try:
+        """Run the command."""
+        with _messages():
             return super().invoke(ctx)
-        except Exception as error:
-            message = _message(error)
-            if message is None:
-                raise
-            raise click.ClickException(message) from error
+
+
+@contextmanager
+def _messages() -> Iterator[None]:
+    """Exceptions raised on purpose and those of the file system become messages."""
+    try:
+        yield
+    except Exception as error:
+        message = _message(error)
+        if message is None:
+            raise
+        raise click.ClickException(message) from error
 
 
 def complete_id(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:

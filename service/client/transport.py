@@ -33,6 +33,8 @@ from worker.files import complete_file
 from worker.spec.errors import BounceError
 
 CONNECT_SECONDS: Final = 5.0
+#: A socket takes no time limit above 2**31 ms.
+LONGEST_TIMEOUT: Final = 2e6
 
 #: Seconds before the second and the third attempt at an idempotent request.
 RETRY_DELAYS: Final = (0.1, 0.4)
@@ -99,7 +101,7 @@ class Transport:
     def __init__(
         self, url: str, token: str | None, timeout: float, http: httpx2.Client | None = None
     ) -> None:
-        self.url, self._timeout = _valid_url(url), timeout
+        self.url, self._timeout = _valid_url(url), min(timeout, LONGEST_TIMEOUT)
         self._headers = {"Accept": "application/json", "User-Agent": "bouncing-spring"}
         if token in (None, "", AUTO):  # an empty variable means no token
             address = httpx2.URL(self.url)
@@ -265,6 +267,9 @@ class Transport:
     def _failure(self, error: httpx2.RequestError, seconds: float) -> BounceError:
         """The error of a request without an answer within `seconds`, in one sentence."""
         reason = str(error) or type(error).__name__
+        if "CERTIFICATE_VERIFY_FAILED" in reason:
+            rule = "SSL_CERT_FILE may name a file of the authorities that you trust"
+            return UnexpectedAnswer(f"the certificate of {self.url} is not trusted ({reason}); {rule}")
         if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
             return ServiceUnreachable(self.url, reason)
         if isinstance(error, httpx2.TimeoutException):
@@ -289,19 +294,25 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
     status, request, answered = response.status_code, response.request, response.headers
     # A proxy asks to log in; pages of the service are attachments.
     is_page = "text/html" in answered.get("Content-Type", "") and "Content-Disposition" not in answered
-    if status == HTTPStatus.NOT_MODIFIED or (response.is_success and not is_page):
+    if status in (HTTPStatus.NOT_MODIFIED, HTTPStatus.NO_CONTENT):
+        return response
+    if response.is_success and not is_page:
+        if response.http_version < "HTTP/2" and not answered.keys() & {"content-length", "transfer-encoding"}:
+            raise UnexpectedAnswer(f"a proxy has removed the length of {request.url}, which may be cut")
         return response
     if status < 400:
         raise UnexpectedAnswer(f"{request.url} answered {status}, not as a bounce service does")
     answer = f"{status} {response.reason_phrase}"
-    if status in (HTTPStatus.BAD_GATEWAY, HTTPStatus.GATEWAY_TIMEOUT):  # as without the proxy
+    if status == HTTPStatus.BAD_GATEWAY:  # as without the proxy
+        raise httpx2.RemoteProtocolError(f"a proxy said {answer}")
+    if status == HTTPStatus.GATEWAY_TIMEOUT:
         raise Unanswered(str(request.url), f"a proxy said {answer}: repeat the request")
     try:
         document = json_object(response)
     except UnexpectedAnswer:  # a proxy answers in HTML
         if status == HTTPStatus.NOT_FOUND:  # what it does not find may be there
             raise
-        document = {"detail": f"{request.url} answered {answer}"}
+        document = {"detail": f"a proxy answered {answer} for {request.url}"}
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
     problem = Problem.from_json(document, status=status, reason=response.reason_phrase)
@@ -373,6 +384,7 @@ def _valid_url(url: str) -> str:
     parsed = httpx2.URL()
     with suppress(httpx2.InvalidURL):
         parsed = httpx2.URL(url)
-    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo:
-        raise ServiceUnreachable(re.sub("(?s).*@", "...@", url), "expected an address like http://HOST:PORT")
+    shown = re.sub("(?s)[?#].*", "", re.sub("(?s).*@", "...@", url))  # the page's address may have a token
+    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo or shown != url:
+        raise ServiceUnreachable(shown, "expected an address like http://HOST:PORT")
     return url.rstrip("/")

@@ -58,7 +58,8 @@ class Handler(BaseHTTPRequestHandler):
             self.connection.shutdown(socket.SHUT_RDWR)
             return
         self.send_response(answer.status)
-        for name, value in answer.headers.items():
+        length = {} if "Connection" in answer.headers else {"Content-Length": str(len(answer.body))}
+        for name, value in (length | answer.headers).items():
             self.send_header(name, value)
         self.end_headers()
         self.wfile.write(answer.body)

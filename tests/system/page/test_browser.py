@@ -1416,11 +1416,17 @@ def test_the_page_reconnects_to_a_service_that_was_restarted(browser: Any, tmp_p
     port = free_port()
     with ExitStack() as running:
         address = running.enter_context(computing_at(tmp_path, port=port))
-        with opened(browser, f"{address}/#/new?figure=2", expected=("net::ERR_",)) as page:
+        with opened(browser, f"{address}/#/new?figure=2", expected=("net::ERR_", "502")) as page:
+            page.locator(".cost", has_text="cells in").wait_for()
+            banner = page.locator("#offline")
+            page.route("**/*", lambda route: route.fulfill(status=502, body="<html>"))  # of a proxy
+            page.get_by_label("Name").fill("proxied")
+            banner.wait_for()
+            page.unroute_all()
+            banner.wait_for(state="hidden")
             page.locator(".cost", has_text="cells in").wait_for()
             running.close()
             page.get_by_label("Name").fill("kept")
-            banner = page.locator("#offline")
             banner.wait_for()
             banner.filter(has_text="does not answer").wait_for()
             running.enter_context(computing_at(tmp_path, port=port))

@@ -314,6 +314,12 @@ def test_a_reader_that_goes_away_is_no_error(url: str, job: str):
     assert "Traceback" not in errors
 
 
+def test_help_that_cannot_be_written_is_one_sentence():
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run([BOUNCE, "--help"], check=False, stdout=full, stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (1, b"Error: No space left on device\n")
+
+
 def test_a_budget_ends_while_its_kernel_compiles(spec: Path, tmp_path: Path):
     ended = subprocess.run(
         [BOUNCE, "run", spec, "--budget", "2s", "-o", tmp_path / "a.zarr"], check=False, capture_output=True,

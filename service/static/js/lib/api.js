@@ -78,9 +78,15 @@ async function send(path, { method = "GET", body, signal }, timeout) {
     method, headers,
     body: body instanceof Blob || typeof body === "string" ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
-  }), signal);
+  }).then(passedOn), signal);
   const isReplaced = token !== sessionStorage.getItem(TOKEN_KEY); // meanwhile: the page asks again with the new one
   if (response.status === 401 && !isReplaced) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null } }));
+  return response;
+}
+
+/** The response, unless a proxy got none. */
+function passedOn(response) {
+  if (response.status === 502 || response.status === 504) throw new DOMException(response.statusText, "AbortError");
   return response;
 }
 
@@ -147,6 +153,6 @@ export const isHandledElsewhere = (error) => error.name === "Unreachable" || err
 /** Why the service refused a request: an Error with its message, the HTTP `status`, and `errors`, a list of {field, rule, code}. */
 async function problemOf(response) {
   const { status, statusText } = response;
-  const { detail, errors = [] } = await response.json().catch(() => ({ detail: `the service answered ${status} ${statusText}` }));
+  const { detail, errors = [] } = await response.json().catch(() => ({ detail: `a proxy answered ${status} ${statusText}` }));
   return Object.assign(new Error(detail), { status, errors });
 }
