@@ -7,6 +7,7 @@ import math
 import os
 import pickle
 import socket
+import ssl
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from typing import Any
 
 import pytest
 from answering import ID, LOST, Answer, scripted, view
+from distributed import Security
 from scripted import DEADLINE, wait_for
 from served import FIGURE_2, computing_at
 from tables import for_each
@@ -98,6 +100,20 @@ def test_a_proxy_is_used_for_other_machines(monkeypatch: pytest.MonkeyPatch):
         with Client("http://service.invalid:8000") as far:
             assert far.job(ID).id == ID
         assert [path for _, path, _ in server.requests] == [f"http://service.invalid:8000/v1/jobs/{ID}"]
+
+
+def test_a_certificate_that_is_not_trusted_is_no_missing_service(tmp_path: Path):
+    made, context = Security.temporary(), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    file = tmp_path / "server.pem"
+    file.write_text(made.tls_scheduler_key + made.tls_scheduler_cert)
+    context.load_cert_chain(file)
+    with scripted() as (server, client):
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+        with (
+            Client(client.url.replace("http", "https")) as careful,
+            pytest.raises(UnexpectedAnswer, match="is not trusted"),
+        ):
+            careful.job(ID)
 
 
 def test_a_pickled_job_has_connections_of_its_own():
