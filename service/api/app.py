@@ -41,12 +41,13 @@ SMALL_MEMORY: Final = 128 * 2**20
 MOST_SMALL: Final = 1_000
 
 
-def create_app(settings: Settings, executor: Executor, background: Background | None = None) -> FastAPI:
+def create_app(
+    settings: Settings, executor: Executor, background: Background | None = None, ledger: Ledger | None = None
+) -> FastAPI:
     """The service as an ASGI application that computes jobs on `executor` and answers in the `background`.
 
-    The caller closes both; without a `background` it answers in this process. Its startup raises
-    DataFolderBusy if another service uses the data folder, and LedgerUnusable if a newer version wrote the
-    ledger. Raises NotStarted for a file of tokens that cannot be used.
+    The caller closes both; without a `background` it answers in this process. Without a `ledger` its startup
+    opens the settings', and raises as `open_ledger`. Raises NotStarted for a file of tokens that cannot be used.
     """
     tokens = settings.access_tokens()
     metrics = Metrics()
@@ -56,9 +57,9 @@ def create_app(settings: Settings, executor: Executor, background: Background | 
         """Open the ledger and compute its unfinished jobs until the application stops."""
         try:
             with ExitStack() as stack:
-                ledger = stack.enter_context(open_ledger(settings))
+                own = stack.enter_context(ledger or open_ledger(settings))
                 shutil.rmtree(settings.exports_path, ignore_errors=True)  # left by a killed service
-                service = _service(settings, ledger, executor, background or InThisProcess(), metrics)
+                service = _service(settings, own, executor, background or InThisProcess(), metrics)
                 app.state.service = service
                 service.manager.start()
                 stack.callback(service.manager.stop)  # last

@@ -28,6 +28,7 @@ from service.api.app import create_app
 from service.background import Processes
 from service.errors import LedgerUnavailable, NotStarted
 from service.jobs.stores.opening import open_ledger
+from service.ledger.ledger import Ledger
 from service.server.logging import log_to_stderr, quiet_libraries
 from service.server.web_server import BACKLOG, WebServer, raise_file_limit
 from service.settings import Settings
@@ -57,11 +58,11 @@ def running(settings: Settings, executor: Executor | None = None) -> Iterator[st
     Raises NotStarted, for example if another service uses the data folder or the port.
     """
     with (
-        _prepared(settings, executor) as (complete, listener, chosen),
+        _prepared(settings, executor) as (complete, listener, chosen, ledger),
         tokens.recorder(settings.data) as record,
     ):
         with _startup_errors():
-            server = WebServer(create_app(complete, chosen), settings, listener)
+            server = WebServer(create_app(complete, chosen, ledger=ledger), settings, listener)
         thread = threading.Thread(target=server.serve_until_stopped, name="bounce-server")
         thread.start()
         try:
@@ -92,14 +93,14 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
         stack.enter_context(log_to_stderr(settings.log_level))
         if settings.private:  # of this process and its workers, which is why `running` does not
             stack.callback(os.umask, os.umask(_PRIVATE_UMASK))
-        complete, listener, executor = stack.enter_context(_prepared(settings, None))
+        complete, listener, executor, ledger = stack.enter_context(_prepared(settings, None))
         background = stack.enter_context(
             closing(Processes(settings.max_reads + settings.max_exports, registry.warm_pictures))
         )
         record = stack.enter_context(tokens.recorder(settings.data))
         threading.Thread(target=_warm_answers, args=[background], name="warm-answers", daemon=True).start()
         with _startup_errors():
-            app = create_app(complete, executor, background)
+            app = create_app(complete, executor, background, ledger)
             server = WebServer(app, settings, listener, announce_url, quiet_libraries)
         server.serve_until_stopped()
         with _startup_errors():
@@ -160,8 +161,8 @@ def _summary(settings: Settings) -> str:
 @contextmanager
 def _prepared(
     settings: Settings, executor: Executor | None
-) -> Iterator[tuple[Settings, socket.socket, Executor]]:
-    """The settings with the service's own token, a bound socket, and `executor` or the settings' cluster.
+) -> Iterator[tuple[Settings, socket.socket, Executor, Ledger]]:
+    """The settings with the service's own token, a bound socket, `executor` or the settings' cluster, ledger.
 
     Checks port and data folder before the slow startup. Raises NotStarted.
     """
@@ -171,15 +172,17 @@ def _prepared(
         if (inherited := os.environ.pop(_TOKEN_VARIABLE, None)) is not None:
             stack.callback(os.environ.__setitem__, _TOKEN_VARIABLE, inherited)
         with _startup_errors():
-            marker = _opened(settings)
+            ledger = stack.enter_context(_opened(settings))
             if settings.makes_token:
                 token = tokens.own_token(settings.data)
                 settings = settings.model_copy(update={"token": SecretStr(token)})
             if executor is None:
                 at = settings.scheduler or settings.scheduler_file
                 log.info("%s", f"connecting to the scheduler {at}" if at else "starting workers")
+                with ledger.reading() as reading:
+                    marker, _ = reading.marker()
                 executor = stack.enter_context(closing(connected_cluster(settings, marker)))
-        yield settings, listener, executor
+        yield settings, listener, executor, ledger
 
 
 def _bound(settings: Settings) -> socket.socket:
@@ -197,16 +200,15 @@ def _bound(settings: Settings) -> socket.socket:
     return listener
 
 
-def _opened(settings: Settings) -> str:
-    """The mark of the stores; creates the data folders, and closes them to other users. Raises NotOurs."""
+def _opened(settings: Settings) -> Ledger:
+    """The ledger; creates the data folders, and closes them to other users. Raises NotOurs."""
     for folder in settings.folders if settings.private else ():
         make_private(folder)
-    with open_ledger(settings) as ledger, ledger.reading() as reading:
-        marker, _ = reading.marker()
+    ledger = open_ledger(settings)
     if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
         for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
             file.chmod(PRIVATE_FILE)
-    return marker
+    return ledger
 
 
 def connected_cluster(settings: Settings, marker: str) -> Dask:

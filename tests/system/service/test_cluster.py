@@ -72,6 +72,19 @@ def test_a_data_folder_or_port_in_use_is_a_startup_error(tmp_path: Path):
             pass
 
 
+def starts_another() -> None:
+    """A cluster that takes so long that another service is started on the folder meanwhile."""
+    with embedded.running(read_settings(port=0), Held()):
+        pass
+
+
+def test_a_data_folder_is_in_use_before_the_cluster_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("BOUNCE_DATA", str(tmp_path))
+    settings = read_settings(port=0, cluster=f"{__name__}:starts_another")
+    with pytest.raises(NotStarted, match="another service"), embedded.running(settings):
+        pass
+
+
 @pytest.mark.parametrize(
     ("private", "modes"), [(True, (0o700, 0o700, 0o600)), (False, (0o755, 0o755, 0o644))]
 )
