@@ -47,7 +47,7 @@ def create_app(
     """The service as an ASGI application that computes jobs on `executor` and answers in the `background`.
 
     The caller closes both; without a `background` it answers in this process. Without a `ledger` its startup
-    opens the settings', and raises as `open_ledger`. Raises NotStarted for a file of tokens that cannot be used.
+    opens the settings', and raises as `open_ledger`. Raises NotStarted for an unusable file of tokens.
     """
     tokens = settings.access_tokens()
     metrics = Metrics()

@@ -141,7 +141,8 @@ class Gate:
         if method not in _SAFE:
             own = {f"{scheme}://{headers.get('host')}" for scheme in ("http", "https")}
             if not same_site or not own.issuperset(headers.getlist("origin")):
-                raise HTTPException(403, "Origin: web pages of another origin must not change anything")
+                rule = "web pages of another origin must not change anything; a proxy must pass Host on"
+                raise HTTPException(403, f"Origin: {rule}")
             # Tags of jobs are weak: by RFC 9110, 13.1.1 none matches.
             if headers.get("if-match", "*").strip() != "*":
                 raise HTTPException(412, "If-Match: changes depend on no tag: leave the header out")
