@@ -76,7 +76,11 @@ def submit(
     if estimate:
         click.echo(output.estimate_line(client.estimate(specification)))
         return
-    within = None if budget is None else client.run(specification, budget=budget)
+    try:
+        within = None if budget is None else client.run(specification, budget=budget)
+    except SystemExit:  # by a signal
+        click.echo("stopped waiting; the service computes the levels (see them with: bounce list)", err=True)
+        raise
     job = within or client.submit(specification, key=key)
     click.echo(job.id)
     if wait_for_job:
