@@ -78,15 +78,11 @@ async function send(path, { method = "GET", body, signal }, timeout) {
     method, headers,
     body: body instanceof Blob || typeof body === "string" ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
-  }).then(passedOn), signal);
+  }), signal);
+  const isUnanswered = response.status === 502 || response.status === 504; // a proxy got no answer
+  if (isUnanswered) await answered(Promise.reject(new DOMException("", "AbortError")), signal);
   const isReplaced = token !== sessionStorage.getItem(TOKEN_KEY); // meanwhile: the page asks again with the new one
   if (response.status === 401 && !isReplaced) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null } }));
-  return response;
-}
-
-/** The response, unless a proxy got none. */
-function passedOn(response) {
-  if (response.status === 502 || response.status === 504) throw new DOMException(response.statusText, "AbortError");
   return response;
 }
 
