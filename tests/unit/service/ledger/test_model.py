@@ -48,7 +48,9 @@ def test_transitions_are_these_and_no_others(old: JobState, new: JobState):
 
 def test_the_time_left_falls_between_chunks_to_half_at_least():
     job = record(progressed=104.0, seconds_left=16.0)
-    assert [job.progress(104.0, compiling=now)["eta_seconds"] for now in (False, True)] == [16.0, None]
+    first = record(progressed=104.0, seconds_left=16.0, cells_done=0)
+    assert [x.progress(104.0, compiling=True)["eta_seconds"] for x in (job, first)] == [16.0, None]
+    assert first.progress(104.0)["eta_seconds"] == 16.0
     assert job.eta_seconds(109.0) == 11.0
     assert job.eta_seconds(204.0) == 8.0
     assert record(seconds_left=16.0, progressed=None).eta_seconds(104.0) is None
