@@ -54,6 +54,8 @@ CONTACT_CURVES: Final = (Kind.FOLD, Kind.FLIP)
 SECTIONS: Final = 5
 STEPS: Final = 60
 _LEAST_STEP: Final = 0.05
+#: A step that is more than this part of the way to the next section ends there.
+_REACHES: Final = 0.999
 #: Most core-seconds of the curves of a mode up to a restitution of 1 - _BOUNCY. Beyond it they grow as the
 #: number of hops after a landing, 1/(1 - restitution).
 _CURVES_SECONDS, _BOUNCY = 6.0, 0.3
@@ -61,8 +63,9 @@ _CURVES_SECONDS, _BOUNCY = 6.0, 0.3
 _SECANT, _LOCATED, _SECANTS = 1e-4, 1e-11, 40
 #: A zero farther along a branch is another event.
 _FAR: Final = 0.2
-#: A curve passes through an event within this, in Gamma and rad; through one of more or fewer flights within
-#: the second: those of many hops lie close together.
+#: Events at one value of the parameter are the same within this, in Gamma and rad.
+_SAME_EVENT: Final = 1e-6
+#: An event with other segments is sought within the first of its Gamma, relative; it lies within the second.
 _NEAR_CURVE, _ON_CURVE = 1e-2, 1e-4
 #: Points each way within which the segments of a cycle change beside an event that is lost.
 _BESIDE: Final = 40
@@ -268,30 +271,37 @@ def follow_curves(
     KernelInputError.
     """
     curves: list[list[Event]] = []
-    for value in np.linspace(*span, SECTIONS).tolist():
+    sections = np.linspace(*span, SECTIONS).tolist()
+    for value in sections:
         omega, xi = (value, fixed) if along is Parameter.OMEGA else (fixed, value)
         plate = plate_at(contact, gamma_max, omega, xi)
         for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
             for event in line.events:
                 if event.kind not in kinds or is_doubled(event.point):
                     continue
-                if not any(_crosses(curve, event, along, value) for curve in curves):
+                if not any(_lies_on_curve(event, curve, along) for curve in curves):
                     step = (span[1] - span[0]) / STEPS
-                    down, up = (list(_along(event, along, way * step, span)) for way in (-1.0, 1.0))
+                    ways = (-step, sections[::-1]), (step, sections)
+                    down, up = (list(_along(event, along, *way)) for way in ways)
                     curves.append([*down[::-1], event, *up])
     return Curves(tuple(event_record(curve, MICRO_FLIGHT) for curve in curves), join_events([]))
 
 
-def _along(event: Event, along: Parameter, step: float, span: tuple[float, float]) -> Iterator[Event]:
-    """The same event at further values of a parameter, `step` apart, or less to keep it."""
+def _along(event: Event, along: Parameter, step: float, stops: list[float]) -> Iterator[Event]:
+    """The same event at further values of a parameter, `step` apart, or less to keep it.
+
+    stops: values in the direction of the step, at which curves have a point; the last ends them.
+    """
     largest = abs(step)
     last, slope, changed = event.point, np.zeros_like(event.point.x), False  # slope: by the parameter
     while True:
-        value = getattr(last.cycles, along)
-        step = min(max(step, span[0] - value), span[1] - value)
-        if abs(step) < 1e-12:  # at an end of the range
+        begin = getattr(last.cycles, along)
+        ahead_of = [stop - begin for stop in stops if (stop - begin) * step > 0.0]
+        if not ahead_of:
             return
-        value += step
+        value = begin + step
+        if abs(step) > _REACHES * abs(ahead_of[0]):
+            step, value = ahead_of[0], stops[-len(ahead_of)]
         cycles, x = last.cycles._replace(**{along: value}), last.x + step * slope
         point = _event_at(cycles, x, last.tangent, event.kind)
         if point is None and abs(step) > largest * _LEAST_STEP:
@@ -350,17 +360,12 @@ def _test(kind: Kind, point: Point) -> float:
     return crossing(kind, point) / (point.times.min() if kind is Kind.FOLD else 1.0)
 
 
-def _crosses(curve: list[Event], event: Event, along: Parameter, value: float) -> bool:
-    """Whether a curve passes through an event at a value of its parameter."""
-    if curve[0].kind is not event.kind:
-        return False
-    away = np.round([getattr(other.point.cycles, along) - value for other in curve], 12)
-    place, *points = ([x.point.parameter, max(x.point.flights)] for x in (event, *curve))
-    for i in np.flatnonzero(away[:-1] * away[1:] <= 0.0):
-        part = away[i] / (away[i] - away[i + 1]) if away[i] else 0.0
-        a, b = np.array(points[i : i + 2])
-        as_many = any(len(x.point.flights) == len(event.point.flights) for x in curve[i : i + 2])
-        near = _NEAR_CURVE if as_many else _ON_CURVE
-        if np.abs(a + part * (b - a) - place).max() < near:
-            return True
-    return False
+def _lies_on_curve(event: Event, curve: list[Event], along: Parameter) -> bool:
+    """Whether a curve passes through an event; it has a point there."""
+    return any(
+        other.kind is event.kind
+        and getattr(other.point.cycles, along) == getattr(event.point.cycles, along)
+        and abs(other.point.parameter - event.point.parameter) < _SAME_EVENT
+        and abs(max(other.point.flights) - max(event.point.flights)) < _SAME_EVENT
+        for other in curve
+    )

@@ -179,15 +179,24 @@ def _points(curves: Any, along: str) -> list[Any]:
     return [curve[:, np.isfinite(curve[0])] for curve in points]
 
 
-def test_curves_of_many_hops_lie_close_together(python_client: Client):
-    """Each fold of the branches is on one of its own."""
-    spring = {"modes": "1-1", "model": "rigid", "restitution": 0.7, "omega": 0.6, "gamma_max": 4.0}
-    curves = python_client.curves(**spring, progress=False, kinds="fold", xi_start=0.05, xi_stop=0.08)
-    events = python_client.orbits(**spring, xi=0.065)
-    at = [np.interp(0.065, *curve) for curve in _points(curves, "xi")]
-    folds = events.event_gamma.values[events.event_kind.values == "fold"]
-    assert len(folds) > 10
-    assert np.abs(folds[:, None] - at).min(axis=1).max() < 1e-6
+@for_each(("spring", "along", "span", "at", "kind", "count"), [
+    ({"model": "rigid", "restitution": 0.7, "omega": 0.6, "gamma_max": 4.0}, "xi", (0.05, 0.08), 0.065,
+     "fold", 11),
+    ({"model": "soft", "restitution": 0.1, "penetration": 0.00156, "xi": 0.11079}, "omega", (0.98, 1.06),
+     1.06, "flip", 9),
+])  # fmt: skip
+def test_curves_of_many_hops_lie_close_together(
+    python_client: Client, spring: dict[str, Any], along: str, span: tuple[float, float], at: float,
+    kind: str, count: int,
+):  # fmt: skip
+    """Each event of the branches is on one of its own."""
+    ends = {f"{along}_start": span[0], f"{along}_stop": span[1]}
+    curves = python_client.curves(**spring, **ends, modes="1-1", progress=False, kinds=kind)
+    events = python_client.orbits(**spring, **{along: at}, modes="1-1")
+    there = [np.interp(at, *curve) for curve in _points(curves, along)]
+    gamma = events.event_gamma.values[events.event_kind.values == kind]
+    assert len(gamma) >= count
+    assert np.abs(gamma[:, None] - there).min(axis=1).max() < 1e-6
 
 
 def test_curves_of_folds_beside_grazes_go_on(python_client: Client):
