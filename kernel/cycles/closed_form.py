@@ -53,12 +53,11 @@ def orbit(k: Spring, periods: int, t: Array) -> Orbit:
     impact = np.array([fly.s_rest, -fly.sin_rest - fly.s_rest, w * fly.s_int]) - fly.versine * s
     longer = v0 * f.s - q0 * f.versine
     q_land, v_land = q0 + longer, q0 * f.c1 + v0 * f.s1 + impact
-    # in contact q is a driven motion, here at landing, plus a free motion h; turn: of the former during T
+    # in contact q is a driven motion, here at landing, plus a free motion h
     re, im = k.q_re * fly.cos - k.q_im * fly.sin, k.q_re * fly.sin + k.q_im * fly.cos
-    turn_re, turn_im = k.q_re * fly.versine + k.q_im * fly.sin, k.q_re * fly.sin - k.q_im * fly.versine
     h0 = q_land + np.array([one / w, zero, zero]) - re * c + im * s
     h1 = v_land + im * c + re * s
-    x = longer + turn_re * c + turn_im * s - stick.versine * h0 + stick.s * h1
+    x = longer + (k.q_re - re) * c + (im - k.q_im) * s - stick.versine * h0 + stick.s * h1
     y = stick.c1 * h0 + stick.s1 * h1 - v0 - k.q_im * c - k.q_re * s
     det = x[1] * y[2] - x[2] * y[1]
     a, v = (x[2] * y[0] - x[0] * y[2]) / det, (x[0] * y[1] - x[1] * y[0]) / det
