@@ -296,12 +296,11 @@ def _along(event: Event, along: Parameter, step: float, stops: list[float]) -> I
     last, slope, changed = event.point, np.zeros_like(event.point.x), False  # slope: by the parameter
     while True:
         begin = getattr(last.cycles, along)
-        ahead_of = [stop - begin for stop in stops if (stop - begin) * step > 0.0]
-        if not ahead_of:
+        stop = next((x for x in stops if (x - begin) * step > 0.0), None)
+        if stop is None:
             return
-        value = begin + step
-        if abs(step) > _REACHES * abs(ahead_of[0]):
-            step, value = ahead_of[0], stops[-len(ahead_of)]
+        value = begin + step if abs(step) < _REACHES * abs(stop - begin) else stop
+        step = value - begin
         cycles, x = last.cycles._replace(**{along: value}), last.x + step * slope
         point = _event_at(cycles, x, last.tangent, event.kind)
         if point is None and abs(step) > largest * _LEAST_STEP:
@@ -362,10 +361,10 @@ def _test(kind: Kind, point: Point) -> float:
 
 def _lies_on_curve(event: Event, curve: list[Event], along: Parameter) -> bool:
     """Whether a curve passes through an event; it has a point there."""
-    return any(
-        other.kind is event.kind
-        and getattr(other.point.cycles, along) == getattr(event.point.cycles, along)
-        and abs(other.point.parameter - event.point.parameter) < _SAME_EVENT
-        and abs(max(other.point.flights) - max(event.point.flights)) < _SAME_EVENT
-        for other in curve
-    )
+    value, gamma, flight = _place(event, along)
+    places = (_place(other, along) for other in curve if other.kind is event.kind)
+    return any(x == value and max(abs(y - gamma), abs(t - flight)) < _SAME_EVENT for x, y, t in places)
+
+
+def _place(event: Event, along: Parameter) -> tuple[float, float, float]:
+    return getattr(event.point.cycles, along), event.point.parameter, max(event.point.flights)
