@@ -299,7 +299,7 @@ def _along(event: Event, along: Parameter, step: float, stops: list[float]) -> I
         stop = next((x for x in stops if (x - begin) * step > 0.0), None)
         if stop is None:
             return
-        value = begin + step if abs(step) < _REACHES * abs(stop - begin) else stop
+        value: Any = begin + step if abs(step) < _REACHES * abs(stop - begin) else stop
         step = value - begin
         cycles, x = last.cycles._replace(**{along: value}), last.x + step * slope
         point = _event_at(cycles, x, last.tangent, event.kind)
