@@ -203,7 +203,7 @@ def test_branches_are_drawn_at_their_frequency_alone(browser: Any, address: str,
         wait_for(lambda: len(branch_pixels(page)) > 200)
         page.route("**/v1/orbits?*", lambda route: None)  # without an answer
         page.get_by_role("slider").first.press("ArrowRight")
-        wait_shown(page, omega=0.65)
+        wait_shown(page, omega=0.625)
         assert branch_pixels(page) == []
 
 
