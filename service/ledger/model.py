@@ -135,7 +135,7 @@ class JobRecord(NewJob):
         return max(left - max(now - self.progressed, 0.0), left / 2.0)
 
     def progress(self, now: float, *, compiling: bool = False) -> dict[str, float | None]:
-        """The job's progress at `now`, in seconds since 1970; a first kernel's compiling is in no estimate."""
+        """The job's progress at `now`, in seconds since 1970; no estimate has a first kernel's compiling."""
         to_come = self.chunks_total - self.chunks_done
         needed = self.cells_computed + -(-self.first_cells * to_come // max(self.chunks_total, 1))
         names = ("chunks_done", "chunks_total", "cells_done", "cells_total", "cells_settling")
