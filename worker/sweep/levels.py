@@ -25,7 +25,7 @@ UNEVEN: Final = 1.5
 #: The fewest values that a level keeps of an axis with more.
 FEWEST: Final = 5
 #: Among levels with at least this share of the cells that fit, the one with the most even steps is taken.
-NEARLY: Final = 0.8
+NEARLY: Final = 0.9
 
 #: The steps of a level along AXES.
 Steps = tuple[Fraction, ...]

@@ -28,9 +28,3 @@ def test_levels_contain_each_other_up_to_the_sweep_itself(gamma, omega, xi, fact
     assert (finest(spec, 1e9, steps) or steps) == WHOLE
     assert level(spec, WHOLE) == spec
     assert steps_of(spec, SweepSpec(gamma=[1.0, 1.5], omega=1.0, xi=1.0)) is None
-
-
-def test_a_level_is_even_rather_than_as_large_as_fits():
-    """Of 48 x 32 values a quarter could be 48 x 7; 17 x 17 and 25 x 12 are as good as that large."""
-    spec = SweepSpec(gamma=[1.0 + i for i in range(48)], omega=[1.0 + i for i in range(32)], xi=1.0)
-    assert level(spec, finest(spec, 48 * 32 / 4)).shape[2:] == (12, 25)
