@@ -165,8 +165,8 @@ def flight_times(
         rule, longest = f"a branch has at most {most:,} points", resolution * most / TWO_PI
         # the frequencies of the spring are as 1/omega; 1 % more, so that the rounded number works
         fitting = 1.01 * omega * (rate - 1.0) / max(longest / periods - 1.0, 1e-300)
-        if fitting > LARGEST:
-            fewer = f"must be at most {int(longest / rate)} at omega = {omega:g}, got {periods}"
+        if fitting > LARGEST or longest <= periods:
+            fewer = f"must be at most {max(int(longest / rate), 1)} at omega = {omega:g}, got {periods}"
             raise KernelInputError("periods", f"{fewer}: {rule}")
         larger = f"must be at least about {fitting:.3g} for cycles of {periods} plate periods, got {omega:g}"
         raise KernelInputError("omega", f"{larger}: {rule}")

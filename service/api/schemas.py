@@ -169,9 +169,7 @@ class JobView(BaseModel):
         description="that its chunks took, those computed again included; not known of adopted chunks"
     )
     spec: dict[str, JsonValue] | None = Field(description="null in lists if it is long")
-    compiling: CompilingView | None = Field(
-        None, description="the kernel that is compiled now, before the first chunk; null in lists"
-    )
+    compiling: CompilingView | None = Field(None, description="the kernel that is compiled now")
     choice: ModelChoice | None = Field(None, description="model `auto`: the model that was chosen, and why")
     budget: BudgetView | None = Field(
         None, description="of a level of a budget that this service began: how far that is; null in lists"

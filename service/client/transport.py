@@ -268,8 +268,9 @@ class Transport:
         """The error of a request without an answer within `seconds`, in one sentence."""
         reason = str(error) or type(error).__name__
         if "CERTIFICATE_VERIFY_FAILED" in reason:
-            rule = "SSL_CERT_FILE may name a file of the authorities that you trust"
-            return UnexpectedAnswer(f"the certificate of {self.url} is not trusted ({reason}); {rule}")
+            unknown = "self-signed" in reason or "issuer" in reason
+            rule = "; SSL_CERT_FILE may name a file of the authorities that you trust" if unknown else ""
+            return UnexpectedAnswer(f"the certificate of {self.url} is not trusted ({reason}){rule}")
         if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
             return ServiceUnreachable(self.url, reason)
         if isinstance(error, httpx2.TimeoutException):
@@ -298,7 +299,7 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
         return response
     if response.is_success and not is_page:
         if response.http_version < "HTTP/2" and not answered.keys() & {"content-length", "transfer-encoding"}:
-            raise UnexpectedAnswer(f"a proxy has removed the length of {request.url}, which may be cut")
+            raise UnexpectedAnswer(f"{request.url} answered without a length: a proxy may have cut it")
         return response
     if status < 400:
         raise UnexpectedAnswer(f"{request.url} answered {status}, not as a bounce service does")
@@ -312,7 +313,7 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
     except UnexpectedAnswer:  # a proxy answers in HTML
         if status == HTTPStatus.NOT_FOUND:  # what it does not find may be there
             raise
-        document = {"detail": f"a proxy answered {answer} for {request.url}"}
+        document = {"detail": f"{request.url} answered {answer}, as of a proxy"}
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
     problem = Problem.from_json(document, status=status, reason=response.reason_phrase)
@@ -385,6 +386,6 @@ def _valid_url(url: str) -> str:
     with suppress(httpx2.InvalidURL):
         parsed = httpx2.URL(url)
     shown = re.sub("(?s)[?#].*", "", re.sub("(?s).*@", "...@", url))  # the page's address may have a token
-    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo or shown != url:
+    if parsed.scheme not in ("http", "https") or not parsed.host or parsed.userinfo or re.search("[?#]", url):
         raise ServiceUnreachable(shown, "expected an address like http://HOST:PORT")
     return url.rstrip("/")

@@ -204,10 +204,12 @@ def _opened(settings: Settings) -> Ledger:
     """The ledger; creates the data folders, and closes them to other users. Raises NotOurs."""
     for folder in settings.folders if settings.private else ():
         make_private(folder)
-    ledger = open_ledger(settings)
-    if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
-        for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
-            file.chmod(PRIVATE_FILE)
+    with ExitStack() as stack:
+        ledger = stack.enter_context(open_ledger(settings))
+        if settings.private:  # SQLite gives the files that it adds to a ledger the same permissions
+            for file in settings.data.glob(f"{settings.ledger_path.stem}.*"):
+                file.chmod(PRIVATE_FILE)
+        stack.pop_all()
     return ledger
 
 

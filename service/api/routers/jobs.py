@@ -123,7 +123,8 @@ def list_jobs(service: ServiceDep, query: Annotated[schemas.JobsQuery, Query()])
         records = ledger.search(query, query.limit + 1, after)
         total = ledger.count_found(query)
     page, more = records[: query.limit], len(records) > query.limit
-    views = [job_view(job, longest_spec=schemas.LONG_SPEC) for job in page]
+    compiling = service.manager.compiling
+    views = [job_view(job, longest_spec=schemas.LONG_SPEC, compiling=compiling(job)) for job in page]
     following = query.cursor_after(page[-1]) if more else None
     return schemas.JobList(jobs=views, total=total, next=following, notice=service.ledger.fault())
 

@@ -79,8 +79,7 @@ async function send(path, { method = "GET", body, signal }, timeout) {
     body: body instanceof Blob || typeof body === "string" ? body : JSON.stringify(body), // of undefined: undefined
     signal: signal ? AbortSignal.any([signal, timer]) : timer,
   }), signal);
-  const isUnanswered = response.status === 502 || response.status === 504; // a proxy got no answer
-  if (isUnanswered) await answered(Promise.reject(new DOMException("", "AbortError")), signal);
+  if (response.status === 502) await answered(Promise.reject(new DOMException("", "AbortError")), signal); // a proxy reached no service
   const isReplaced = token !== sessionStorage.getItem(TOKEN_KEY); // meanwhile: the page asks again with the new one
   if (response.status === 401 && !isReplaced) connection.dispatchEvent(new CustomEvent("unauthorized", { detail: { refused: token !== null } }));
   return response;
@@ -149,6 +148,6 @@ export const isHandledElsewhere = (error) => error.name === "Unreachable" || err
 /** Why the service refused a request: an Error with its message, the HTTP `status`, and `errors`, a list of {field, rule, code}. */
 async function problemOf(response) {
   const { status, statusText } = response;
-  const { detail, errors = [] } = await response.json().catch(() => ({ detail: `a proxy answered ${status} ${statusText}` }));
+  const { detail, errors = [] } = await response.json().catch(() => ({ detail: `the answer was ${status} ${statusText}, as of a proxy` }));
   return Object.assign(new Error(detail), { status, errors });
 }

@@ -121,7 +121,7 @@ def test_cycles_of_settled_cells():
     assert found.down == pytest.approx(reference["fold"], abs=1e-9)
     lower = found.contradicted(2.2)
     assert (lower.cause, lower.fold) == (UNRESOLVED, None)
-    assert "2.200000" in lower.reason
+    assert "Gamma = 2.2," in lower.reason
 
 
 #: Omega, xi and the fold of sssz (4,3), below the Gamma that the rule says. A search found it, as did an

@@ -450,6 +450,11 @@ def test_no_error_shows_a_password_of_the_address(url: str):
     assert "cret" not in str(refused.value)
 
 
+def test_an_address_may_have_a_path_that_names_a_user():
+    with Client("http://127.0.0.1:1/user/me@example.org/proxy/8000/") as client:
+        assert client.url == "http://127.0.0.1:1/user/me@example.org/proxy/8000"
+
+
 def test_a_budget_ends_with_its_service():
     """A service that has begun anew knows of none; a budget that was too short says why."""
     begun = {"doing": "level 1", "answer": None, "seconds_left": 9, "over": False, "error": None, "id": "ab"}
