@@ -79,7 +79,9 @@ def submit(
     try:
         within = None if budget is None else client.run(specification, budget=budget)
     except SystemExit:  # by a signal
-        click.echo("stopped waiting; levels that the service accepted go on (see them with: bounce list)", err=True)
+        click.echo(
+            "stopped waiting; levels that the service accepted go on (see them with: bounce list)", err=True
+        )
         raise
     job = within or client.submit(specification, key=key)
     click.echo(job.id)
