@@ -21,7 +21,7 @@ REFERENCE = json.loads((GOLDEN / "branches.json").read_text())
 #: Underdamped, critical and overdamped in flight, in contact, and beside; slow and fast plates.
 SPRINGS = [
     (0.5, 0.26), (0.62, 0.05), (0.3, 0.02), (1.0, 0.7071067811865476), (0.8, 0.72), (0.9, 1.0),
-    (0.9, 1.0 - 1e-12), (2.0, 3.0), (5.0, 10.0), (12.0, 0.1), (0.1, 1.0), (1.3, 1e3),
+    (0.9, 1.0 - 1e-12), (2.0, 3.0), (5.0, 10.0), (12.0, 0.1), (0.1, 1.0),
 ]  # fmt: skip
 
 

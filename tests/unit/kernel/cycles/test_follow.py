@@ -87,7 +87,7 @@ def test_a_family_without_a_stable_cycle_near_those_of_the_closed_form(omega):
 
 
 def test_a_branch_far_from_the_cycles_of_the_closed_form_beside_one_near_them():
-    lines = branches(soft(0.7, 0.01), 0.95, 0.0643, 1, span=(0.2, 2.0))
+    lines = branches(soft(0.7, 0.01), 0.975, 0.0643, 1, span=(0.2, 2.0))
     assert [max(point.parameter for point in line.points) > 1.9 for line in lines] == [False, True]
 
 
