@@ -41,8 +41,9 @@ _ZERO, _NARROW, _STALLED = 1e-13, 1e-2, 4
 
 #: A multiplier this close to -1 or the unit circle makes an event, or a parameter that changes this little on
 #: its branch, and two near -1 with a product of both distances below the second: where they meet, each moves
-#: with the square root.
-_AT, _BOTH = 1e-4, 1e-6
+#: with the square root. So does a test of flips below the third part of those around it: beside a graze
+#: rounding moves multipliers.
+_AT, _BOTH, _PART = 1e-4, 1e-6, 1e-2
 #: Indices of each two of the multipliers.
 _PAIRS: Final = np.triu_indices(4, 1)
 
@@ -128,7 +129,10 @@ def follow(
         end = _end(last)
         if end is None and stretch.broken is not None:
             after, change = _change(stretch, partial(_goes_back, line))
-            events += [event._replace(after=len(line) - 1) for event in change]
+            if change is not None and after is not None:
+                to = _events_to(last, change.point, crossings)
+                fro = _events_to(after.back(), change.point, crossings)
+                events += [event._replace(after=len(line) - 1) for event in (*to, change, *fro)]
             end = _end_at(last, stretch.broken) if after is None else None
         closed = last is origin and len(line) > 1
         if end is None and len(line) >= points and not (leaves(last) or closed):
@@ -239,12 +243,29 @@ def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iter
         turned = (tests[:-1] * tests[1:] < 0.0) | (tests[:-1] == 0.0)
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
     for i, which in np.argwhere(turned):
-        kind = kinds[which]
-        point: Point | None = line[i]
-        if tests[i, which] != 0.0:
-            point = root(line[i], _reach(line[i], line[i + 1]), partial(crossing, kind))
-        if point is not None and happens(kind, point):
-            yield Event(kind, point, turns=kind is Kind.FOLD, after=before + int(i))
+        point = line[i] if tests[i, which] == 0.0 else _located(kinds[which], line[i], line[i + 1])
+        if point is not None:
+            yield Event(kinds[which], point, turns=kinds[which] is Kind.FOLD, after=before + int(i))
+
+
+def _located(kind: Kind, a: Point, b: Point) -> Point | None:
+    """The event of a kind between two cycles between which its test changes sign, or None."""
+    test = partial(crossing, kind)
+    point = root(a, _reach(a, b), test)
+    around = min(abs(test(a)), abs(test(b)))
+    return point if point is not None and happens(kind, point, around) else None
+
+
+def _events_to(point: Point, change: Point, kinds: Sequence[Kind]) -> Iterator[Event]:
+    """The crossings between a cycle and a change of segments ahead.
+
+    Beside a graze multipliers move with the square root of the distance.
+    """
+    for kind in kinds:
+        if kind is not Kind.FOLD and crossing(kind, point) * crossing(kind, change) < 0.0:
+            found = _located(kind, point, change)
+            if found is not None:
+                yield Event(kind, found)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # multipliers of cycles of many hops
@@ -258,16 +279,17 @@ def crossing(kind: Kind, point: Point) -> float:
     return float(np.prod(1.0 - mu[_PAIRS[0]] * mu[_PAIRS[1]]).real)
 
 
-def happens(kind: Kind | End, point: Point) -> bool:
+def happens(kind: Kind | End, point: Point, around: float = 0.0) -> bool:
     """Whether a multiplier lies at the value of this kind. Its test also changes sign at a pole.
 
-    That of a fold has none. Rounding hides its multiplier beside a graze.
+    That of a fold has none. Rounding hides its multiplier beside a graze. around: the least value of the test
+    of cycles on both sides.
     """
     mu = point.multipliers
     if kind is Kind.FOLD:
         return abs(point.rising) < _AT
     if kind is Kind.FLIP:
-        return bool(np.abs(mu + 1.0).min() < _AT or abs(crossing(kind, point)) < _BOTH)
+        return bool(np.abs(mu + 1.0).min() < _AT or abs(crossing(kind, point)) < max(_BOTH, _PART * around))
     return bool(((np.abs(mu.imag) > 1e-9) & (np.abs(np.abs(mu) - 1.0) < _AT)).any())
 
 
@@ -333,8 +355,8 @@ def root(node: Point, reach: float, function: Callable[[Point], float]) -> Point
 # --- from one signature to the next -------------------------------------------------------------------------
 
 
-def _change(stretch: _Stretch, goes_back: Callable[[Point], bool]) -> tuple[Point | None, list[Event]]:
-    """The first cycle beyond a change of the signature, or None; and the change, if it was located.
+def _change(stretch: _Stretch, goes_back: Callable[[Point], bool]) -> tuple[Point | None, Event | None]:
+    """The first cycle beyond a change of the signature, and the change, if it was located; else None.
 
     goes_back: whether a cycle would lead back along the branch.
     """
@@ -346,19 +368,19 @@ def _change(stretch: _Stretch, goes_back: Callable[[Point], bool]) -> tuple[Poin
         if point is not None and after is not None:
             kind, changed, first = after
             # not of `point`: the parameter stands still where a duration vanishes with its square root
-            return first, [Event(kind, changed, turns=last.rising * first.rising < 0.0)]
+            return first, Event(kind, changed, turns=last.rising * first.rising < 0.0)
     shortest = int(np.argmin(last.times))
     if last.times[shortest] < _MINUTE:
         after = next_cycle(Margin(Broken("vanishes", shortest), last), last, goes_back)
         if after is not None:
             kind, _, first = after
             turns = last.rising * first.rising < 0.0
-            return first, [Event(kind, last, turns)] if _multipliers_jump(last, first) else []
+            return first, Event(kind, last, turns) if _multipliers_jump(last, first) else None
     if "C" not in last.letters:
-        return None, []
+        return None, None
     before = stretch.points[-2] if len(stretch.points) > 1 else None
     over = over_small_segment(last, before)
-    return (None if over is None or goes_back(over) else over), []
+    return (None if over is None or goes_back(over) else over), None
 
 
 def _goes_back(line: list[Point], first: Point) -> bool:

@@ -163,10 +163,12 @@ def test_a_flip_between_points_with_other_numbers_of_hops(restitution, omega, xi
 
 
 @pytest.mark.parametrize("beside", range(-4, 5))
-def test_a_flip_where_two_multipliers_meet(beside):
-    """At Gamma 7.27313, 1e-9 from a graze."""
+def test_flips_beside_grazes(beside):
+    """Two multipliers meet at Gamma 7.27313, 1e-9 from a graze, and one flip is 1e-13 from a graze."""
     (line,) = branches(soft(), 0.89967 + 1e-7 * beside, 0.05, 1)
     assert len(gammas(line, FLIP)) == 4
+    if beside == 0:  # back across the grazes
+        assert len(gammas(follow(line.points[-1].back(), 0.0), FLIP)) == 4
 
 
 @pytest.mark.parametrize("omega", [1.3, 1.35, 1.4])
