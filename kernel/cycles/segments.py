@@ -44,8 +44,8 @@ START: Final = 5
 #: Replaces a duration of exactly zero, which is a divisor.
 _SHORTEST: Final = 1e-30
 
-#: Elimination takes the next row if its pivot is at least this part of the largest.
-_PIVOT: Final = 0.05
+#: Elimination takes the next row if its pivot is at least this part of the other entries left in it.
+_PIVOT: Final = 0.01
 
 #: Parameters along which branches are followed.
 ALONG: Final = ("gamma", "omega", "xi")
@@ -556,10 +556,12 @@ def newton_step(segments: int, slope: Any, value: Any, direction: Any, distance:
         for j in range(m + 2):
             a[i, j] /= largest if largest > 0.0 else 1.0
     for k in range(m):
-        p = k
-        for i in range(k + 1, m):
-            p = i if abs(a[i, k]) > abs(a[p, k]) else p
-        if abs(a[k, k]) < _PIVOT * abs(a[p, k]):
+        p, others = k, 0.0
+        for j in range(k + 1, m):
+            others = max(others, abs(a[k, j]) if j < reach[k] or j >= n else 0.0)
+        if k >= n or abs(a[k, k]) < _PIVOT * others:
+            for i in range(k + 1, m):
+                p = i if abs(a[i, k]) > abs(a[p, k]) else p
             for j in range(m + 2):
                 a[k, j], a[p, j] = a[p, j], a[k, j]
             reach[k], reach[p] = reach[p], reach[k]
