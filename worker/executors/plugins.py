@@ -117,7 +117,8 @@ class WorkerAdmission(WorkerPlugin):
             ]
             if threads != 1:
                 wrong.append(f"it has {threads} threads: start it with --nthreads 1")
-            if self._stores is not None and (unseen := _unseen(*self._stores)):
+            # another release may lack what reads the stores
+            if not wrong and self._stores is not None and (unseen := _unseen(*self._stores)):
                 wrong.append(unseen)
             if not wrong:
                 from worker.kernel_cache import use_cache  # noqa: PLC0415 - see above

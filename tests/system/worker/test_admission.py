@@ -41,8 +41,9 @@ def changed_project(folder: Path, file: str, line: str) -> dict[str, str]:
     return {"PYTHONPATH": str(folder)}
 
 
-def of_another_kernel(processes: Processes, folder: Path) -> None:
-    processes.worker(variables=changed_project(folder / "copy", "kernel/modes.py", "# another kernel"))
+def of_another_release(processes: Processes, folder: Path) -> None:
+    """Which lacks what looks at the stores."""
+    processes.worker(variables=changed_project(folder / "copy", "worker/store/__init__.py", "del write_fault"))
 
 
 #: Of a Python without this project until there is a file `installed`. The kernels' files are then where they
@@ -112,7 +113,7 @@ def processes(tmp_path: Path) -> Iterator[Processes]:
 
 #: How workers differ, and what is said of each.
 DIFFERENT = {
-    of_another_kernel: "its package kernel is ",
+    of_another_release: "its package worker is ",
     with_two_threads: "it has 2 threads: start it with --nthreads 1",
     without_the_folder: "it does not see the service's stores in ",
     on_a_read_only_folder: "it cannot write into ",
@@ -225,7 +226,7 @@ def test_workers_of_this_machine_that_cannot_compute_are_an_error_and_are_ended(
 
 
 def test_a_worker_that_a_service_of_another_release_admits_computes_nothing(tmp_path, processes: Processes):
-    of_another_kernel(processes, tmp_path)
+    of_another_release(processes, tmp_path)
     with closing(Dask(processes.address)) as executor, Client(processes.address) as other:
         wait_for(lambda: executor.state().refused, processes.log, PATIENCE)
         [theirs] = other.run(facts).values()
