@@ -31,12 +31,13 @@ class UnexpectedAnswer(BounceError):
 
 
 class Refused(BounceError):
-    """The service answered with a problem document, `problem`."""
+    """The service answered with a problem document, `problem`, or a proxy in its place."""
 
-    def __init__(self, problem: Problem, *, retry_after: float | None = None) -> None:
+    def __init__(self, problem: Problem, *, retry_after: float | None = None, of_proxy: bool = False) -> None:
         super().__init__(str(problem))
         self.problem = problem
         self.retry_after = retry_after
+        self.of_proxy = of_proxy
 
     @property
     def status(self) -> int:

@@ -33,6 +33,7 @@ from worker.files import complete_file
 from worker.spec.errors import BounceError
 
 CONNECT_SECONDS: Final = 5.0
+_FULL: Final = HTTPStatus.TOO_MANY_REQUESTS
 #: A socket takes no time limit above 2**31 ms.
 LONGEST_TIMEOUT: Final = 2e6
 
@@ -62,12 +63,18 @@ Answer = TypeVar("Answer")
 
 
 def outlast(
-    send: Callable[[], Answer], *, away: float = MAX_OUTAGE, busy: float = MAX_OUTAGE, shown: bool = False
+    send: Callable[[], Answer],
+    *,
+    away: float = MAX_OUTAGE,
+    busy: float = MAX_OUTAGE,
+    queues: bool = True,
+    shown: bool = False,
 ) -> Answer:
     """What `send` returns, repeated while the service does not answer.
 
-    For up to `away` seconds where it is away, `busy` where it is full (429). Raises ServiceUnreachable or
-    Busy. shown: whether waits longer than SHOWN_AFTER are shown on standard error.
+    For up to `away` seconds where it is away, `busy` where a proxy passes nothing on or, with `queues`, the
+    service is full (429). Raises ServiceUnreachable or Busy. shown: whether waits longer than SHOWN_AFTER are
+    shown on standard error.
     """
     began = answered = time.monotonic()
     with ExitStack() as waiting:
@@ -76,8 +83,9 @@ def outlast(
                 return send()
             except (ServiceUnreachable, Busy) as error:
                 now = time.monotonic()
-                full = isinstance(error, Busy) and error.status == HTTPStatus.TOO_MANY_REQUESTS
-                asked = error.retry_after if isinstance(error, Busy) else None
+                asked, full = None, False
+                if isinstance(error, Busy):
+                    asked, full = error.retry_after, error.of_proxy or (queues and error.status == _FULL)
                 answered = now if full else answered
                 left = (began + busy if full else answered + away) - now
                 if left <= 0.0:
@@ -166,11 +174,12 @@ class Transport:
         """
         content_type = {"Content-Type": "application/json"} if body is not None else {}
         send = partial(self._request, "POST", path, query, {**content_type, **(headers or {})}, body)
-        return outlast(send, away=0.0, busy=self._timeout, shown=True) if waits else send()
+        return outlast(send, away=0.0, busy=self._timeout, queues=waits, shown=True)
 
     def delete(self, path: str) -> None:
-        """DELETE `path`; not retried, because a second request would find nothing."""
-        self._request("DELETE", path, delays=())
+        """DELETE `path`; not retried after a lost connection: a second request would find nothing."""
+        send = partial(self._request, "DELETE", path, delays=())
+        outlast(send, away=0.0, busy=self._timeout, shown=True)
 
     def get_result(
         self,
@@ -271,6 +280,8 @@ class Transport:
             unknown = "self-signed" in reason or "issuer" in reason
             rule = "; SSL_CERT_FILE may name a file of the authorities that you trust" if unknown else ""
             return UnexpectedAnswer(f"the certificate of {self.url} is not trusted ({reason}){rule}")
+        if "WRONG_VERSION_NUMBER" in reason:
+            return UnexpectedAnswer(f"{self.url} does not speak TLS: its address may begin with http://")
         if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
             return ServiceUnreachable(self.url, reason)
         if isinstance(error, httpx2.TimeoutException):
@@ -308,16 +319,19 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
         raise httpx2.RemoteProtocolError(f"a proxy said {answer}")
     if status == HTTPStatus.GATEWAY_TIMEOUT:
         raise Unanswered(str(request.url), f"a proxy said {answer}: repeat the request")
+    of_proxy = False
     try:
         document = json_object(response)
     except UnexpectedAnswer:  # a proxy answers in HTML
         if status == HTTPStatus.NOT_FOUND:  # what it does not find may be there
             raise
-        document = {"detail": f"{request.url} answered {answer}, as of a proxy"}
+        is_plain = status == HTTPStatus.BAD_REQUEST and request.url.scheme == "http"
+        rule = ": its port may take https:// only" if is_plain else ""
+        document, of_proxy = {"detail": f"{request.url} answered {answer}, as of a proxy{rule}"}, True
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
     problem = Problem.from_json(document, status=status, reason=response.reason_phrase)
-    raise error(problem, retry_after=retry_after(response))
+    raise error(problem, retry_after=retry_after(response), of_proxy=of_proxy)
 
 
 def _whole(response: httpx2.Response) -> httpx2.Response:

@@ -84,7 +84,10 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
     def announce_url(url: str) -> None:
         record(url)
-        announce(f"bounce listens on {url} ({_summary(settings)})")
+        try:
+            announce(f"bounce listens on {url} ({_summary(settings)})")
+        except OSError as error:
+            raise NotStarted(f"standard output: {error.strerror}") from error
 
     raise_file_limit()
     sys.setswitchinterval(_SWITCH_SECONDS)

@@ -86,8 +86,13 @@ class WebServer(uvicorn.Server):
         _LOG.setLevel(logging.WARNING)
         host, port = self._listener.getsockname()[:2]
         url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-        self._on_start(url)
-        self.url.set_result(url)
+        try:
+            self._on_start(url)
+        except NotStarted as error:  # raised here, it would leave the application running
+            self.url.set_exception(error)
+            self.should_exit = True
+        else:
+            self.url.set_result(url)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Called by uvicorn; first ends event streams, which would otherwise last as long as their jobs."""

@@ -320,6 +320,16 @@ def test_help_that_cannot_be_written_is_one_sentence():
     assert (ended.returncode, ended.stderr) == (1, b"Error: No space left on device\n")
 
 
+def test_a_service_that_cannot_say_its_address_does_not_start(tmp_path: Path):
+    serve = [BOUNCE, "serve", "--port", "0", "--workers", "1", "--data", tmp_path]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(serve, check=False, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr.splitlines()[1:]) == (
+        1,
+        ["Error: standard output: No space left on device"],
+    )
+
+
 def test_a_budget_ends_while_its_kernel_compiles(spec: Path, tmp_path: Path):
     ended = subprocess.run(
         [BOUNCE, "run", spec, "--budget", "2s", "-o", tmp_path / "a.zarr"], check=False, capture_output=True,

@@ -30,7 +30,7 @@ const BUSY = "The service is busy with other requests. Waiting for its answer â€
 const waiting = new Map(); // by request, why it waits
 
 // The response to one request. A GET, or what `waits`, is repeated: while workers compute its answer (202), and until
-// `timeout` while the service is too busy (429). Throws a problem (see problemOf), Unreachable, or an AbortError if
+// `timeout` while the service is too busy (429, or a proxy's 503). Throws a problem (see problemOf), Unreachable, or an AbortError if
 // `signal` aborts.
 export const request = (path, { timeout = TIMEOUT_MS, waits, ...options } = {}) => answer(path, options, timeout, waits).finally(() => tell(options));
 
@@ -47,7 +47,7 @@ async function answer(path, options, timeout, waits) {
       await sleep(pause);
       deadline = performance.now() + timeout;
     } else if (response.ok) return response;
-    else if (response.status === 429 && isRepeated && left > 0) {
+    else if ((response.status === 429 || (response.status === 503 && !response.headers.get("Content-Type")?.includes("json"))) && isRepeated && left > 0) {
       tell(options, BUSY);
       await sleep(Math.min(pause, left));
     } else throw await problemOf(response);

@@ -81,6 +81,17 @@ def test_after_a_lost_connection_all_but_a_deletion_is_repeated(tmp_path: Path):
         assert client.job(ID).export(tmp_path / "sweep.nc").read_bytes() == b"complete"
 
 
+def test_what_a_proxy_holds_back_is_repeated():
+    """Its 503 says that the service did not get the request; the service's own is an answer."""
+    held_back = Answer(503, b"<html>", Content_Type="text/html")
+    with scripted(*[held_back] * 4, Answer(202, view()), held_back, Answer(204)) as (_, client):
+        client.submit({"xi": 1}).delete()
+    with scripted(Answer(503, {"detail": "stopping"})) as (_, client), pytest.raises(Busy, match="stopping"):
+        client.job(ID)
+    with scripted(Answer(429, {"detail": "full"})) as (_, client), pytest.raises(Busy, match="full"):
+        client.submit({"xi": 1})
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_no_proxy_is_used_for_loopback(monkeypatch: pytest.MonkeyPatch, unused_address: str, host: str):
     for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
@@ -114,6 +125,18 @@ def test_a_certificate_that_is_not_trusted_is_no_missing_service(tmp_path: Path)
             pytest.raises(UnexpectedAnswer, match="is not trusted"),
         ):
             careful.job(ID)
+
+
+def test_plain_http_and_tls_that_meet_are_told_apart():
+    refused = Answer(400, b"The plain HTTP request was sent to HTTPS port")  # nginx
+    with scripted(refused) as (_, client), pytest.raises(BadRequest, match="take https:// only"):
+        client.job(ID)
+    with (
+        scripted() as (_, client),
+        Client(client.url.replace("http", "https")) as secure,
+        pytest.raises(UnexpectedAnswer, match="may begin with http://"),
+    ):
+        secure.job(ID)
 
 
 def test_a_pickled_job_has_connections_of_its_own():
