@@ -474,10 +474,14 @@ def test_a_name_is_shown_as_it_was_typed(browser: Any, address: str):
         assert page.locator("#bar h1").inner_text() == name
 
 
-@pytest.mark.parametrize("asked", ["2", "1e300"])
-def test_the_page_waits_for_a_busy_service_and_says_so(browser: Any, address: str, loop: str, asked: str):
-    busy = {"status": 429, "json": {"detail": "full"}, "headers": {"Retry-After": asked}}
-    with opened(browser, "about:blank", expected=("429",), hurried=asked == "2") as page:
+@pytest.mark.parametrize(("asked", "status"), [("2", 429), ("2", 503), ("1e300", 429)])
+def test_the_page_waits_for_a_busy_service_and_says_so(
+    browser: Any, address: str, loop: str, asked: str, status: int
+):
+    """Also where a proxy holds its requests back (503)."""
+    kind = "application/problem+json" if status == 429 else "text/html"
+    busy = {"status": status, "body": "{}", "headers": {"Retry-After": asked, "Content-Type": kind}}
+    with opened(browser, "about:blank", expected=(str(status),), hurried=asked == "2") as page:
         page.route("**/diagram?*", lambda route: route.fulfill(**busy), times=2 if asked == "2" else 1)
         page.goto(view(address, loop))
         page.locator("#busy", has_text="The service is busy").wait_for()

@@ -43,7 +43,8 @@ def changed_project(folder: Path, file: str, line: str) -> dict[str, str]:
 
 def of_another_release(processes: Processes, folder: Path) -> None:
     """Which lacks what looks at the stores."""
-    processes.worker(variables=changed_project(folder / "copy", "worker/store/__init__.py", "del write_fault"))
+    lacking = changed_project(folder / "copy", "worker/store/__init__.py", "del write_fault")
+    processes.worker(variables=lacking)
 
 
 #: Of a Python without this project until there is a file `installed`. The kernels' files are then where they
