@@ -33,7 +33,6 @@ from worker.files import complete_file
 from worker.spec.errors import BounceError
 
 CONNECT_SECONDS: Final = 5.0
-_FULL: Final = HTTPStatus.TOO_MANY_REQUESTS
 #: A socket takes no time limit above 2**31 ms.
 LONGEST_TIMEOUT: Final = 2e6
 
@@ -85,7 +84,7 @@ def outlast(
                 now = time.monotonic()
                 asked, full = None, False
                 if isinstance(error, Busy):
-                    asked, full = error.retry_after, error.of_proxy or (queues and error.status == _FULL)
+                    asked, full = error.retry_after, error.of_proxy or (queues and error.status == 429)
                 answered = now if full else answered
                 left = (began + busy if full else answered + away) - now
                 if left <= 0.0:

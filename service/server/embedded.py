@@ -84,10 +84,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
     def announce_url(url: str) -> None:
         record(url)
-        try:
-            announce(f"bounce listens on {url} ({_summary(settings)})")
-        except OSError as error:
-            raise NotStarted(f"standard output: {error.strerror}") from error
+        announce(f"bounce listens on {url} ({_summary(settings)})")
 
     raise_file_limit()
     sys.setswitchinterval(_SWITCH_SECONDS)

@@ -88,11 +88,10 @@ class WebServer(uvicorn.Server):
         url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
         try:
             self._on_start(url)
-        except NotStarted as error:  # raised here, it would leave the application running
-            self.url.set_exception(error)
-            self.should_exit = True
-        else:
             self.url.set_result(url)
+        except OSError as error:  # raised here, it would leave the application running
+            self.url.set_exception(NotStarted(f"standard output: {error.strerror}"))
+            self.should_exit = True
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Called by uvicorn; first ends event streams, which would otherwise last as long as their jobs."""
