@@ -13,17 +13,17 @@ from worker.spec.errors import Problem as FieldProblem
 class ServiceUnreachable(BounceError):
     """Nothing answered at `url`."""
 
+    _said = "no service answers at {} ({}); start one with: bounce serve"
+
     def __init__(self, url: str, reason: str) -> None:
-        super().__init__(f"no service answers at {url} ({reason}); start one with: bounce serve")
+        super().__init__(self._said.format(url, reason))
         self.url = url
 
 
 class Unanswered(ServiceUnreachable):
     """The service at `url` took the request but did not answer: it may be busy."""
 
-    def __init__(self, url: str, reason: str) -> None:
-        BounceError.__init__(self, f"the service at {url} did not answer: {reason}")
-        self.url = url
+    _said = "the service at {} did not answer: {}"
 
 
 class UnexpectedAnswer(BounceError):

@@ -62,13 +62,9 @@ Answer = TypeVar("Answer")
 
 
 def outlast(
-    send: Callable[[], Answer],
-    *,
-    away: float = MAX_OUTAGE,
-    busy: float = MAX_OUTAGE,
-    queues: bool = True,
+    send: Callable[[], Answer], *, away: float = MAX_OUTAGE, busy: float = MAX_OUTAGE, queues: bool = True,
     shown: bool = False,
-) -> Answer:
+) -> Answer:  # fmt: skip
     """What `send` returns, repeated while the service does not answer.
 
     For up to `away` seconds where it is away, `busy` where a proxy passes nothing on or, with `queues`, the
@@ -245,32 +241,24 @@ class Transport:
 
         read: reads the body of a success. seconds: at most between two pieces, by default the timeout.
         """
-        limit = {} if seconds is None else {"timeout": httpx2.Timeout(seconds, connect=CONNECT_SECONDS)}
-        request = self._built(method, path, query, headers, content=body, **limit)
+        limit = self._http.timeout if seconds is None else httpx2.Timeout(seconds, connect=CONNECT_SECONDS)
+        values = {name: _text(value) for name, value in (query or {}).items() if value is not None}
+        sent = {**self._headers, **(headers or {})}
         try:
+            request = self._http.build_request(
+                method, self.url + path, params=values, headers=sent, content=body, timeout=limit
+            )
             with closing(self._send(request)) as response:
                 checked = _checked(response if response.is_success else _whole(response))
                 return (read or _whole)(checked)
+        except (httpx2.InvalidURL, UnicodeError) as error:
+            detail = f"no address can hold what is asked for: {error}"
+            raise BadRequest(Problem(status=400, title="Bad Request", detail=detail)) from None
         except httpx2.RequestError as error:
             if not (delays and isinstance(error, _CONNECTION_LOST)):
                 raise self._failure(error, seconds or self._timeout) from None
         time.sleep(delays[0])
         return self._request(method, path, query, headers, body, delays[1:], read, seconds)
-
-    def _built(
-        self, method: str, path: str, query: Query | None, headers: Mapping[str, str] | None, **options: Any
-    ) -> httpx2.Request:
-        try:
-            return self._http.build_request(
-                method,
-                self.url + path,
-                params={name: _text(value) for name, value in (query or {}).items() if value is not None},
-                headers={**self._headers, **(headers or {})},
-                **options,
-            )
-        except (httpx2.InvalidURL, UnicodeError) as error:
-            detail = f"no address can hold what is asked for: {error}"
-            raise BadRequest(Problem(status=400, title="Bad Request", detail=detail)) from None
 
     def _failure(self, error: httpx2.RequestError, seconds: float) -> BounceError:
         """The error of a request without an answer within `seconds`, in one sentence."""
@@ -324,8 +312,7 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
     except UnexpectedAnswer:  # a proxy answers in HTML
         if status == HTTPStatus.NOT_FOUND:  # what it does not find may be there
             raise
-        is_plain = status == HTTPStatus.BAD_REQUEST and request.url.scheme == "http"
-        rule = ": its port may take https:// only" if is_plain else ""
+        rule = ": its port may take https:// only" if (status, request.url.scheme) == (400, "http") else ""
         document, of_proxy = {"detail": f"{request.url} answered {answer}, as of a proxy{rule}"}, True
     is_submission = request.method == "POST" and request.url.path.endswith("/v1/jobs")
     error = InvalidSpecification if is_submission and status in (400, 422) else error_class(status)
