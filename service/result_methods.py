@@ -368,7 +368,7 @@ class SpringMethods(Methods):
         omega: float,
         xi: float,
         modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
-        gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        gamma_max: Annotated[float | None, "branches along gamma are cut above this Γ; default: 8"] = None,
         points: Annotated[int, "points of a branch, about; with a `model`, at most, each way"] = 400,
         start: Annotated[float | None, "lowest Γ of a window with `points` more"] = None,
         stop: Annotated[float | None, "highest Γ of the window"] = None,
@@ -422,7 +422,7 @@ class SpringMethods(Methods):
         xi_stop: float | None = None,
         modes: Annotated[str, "bounces-periods, as 1-1,1-2; cycles of one bounce"] = "1-1,1-2",
         kinds: Annotated[str | None, "such as fold,flip; default: all"] = None,
-        gamma_max: Annotated[float, "branches and curves are cut above this Γ"] = 8.0,
+        gamma_max: Annotated[float, "curves are cut above this Γ"] = 8.0,
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,
@@ -435,7 +435,8 @@ class SpringMethods(Methods):
         The range is of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
         fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
         With a `model` they are the folds and flips of its own cycles, and end at cusps and where the segments
-        of a cycle change.
+        of a cycle change. The events are then `cut-off`: a branch ends there at its limit of points, and curves
+        beyond are missed.
 
         Returns a Dataset with the attribute `complete` and the variables `omega`, `xi`, `gamma`,
         `flight_time` (rad), `violations`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,

@@ -112,6 +112,12 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
     return followed
 
 
+def cut_off(lines: list[Followed]) -> list[Event]:
+    """Where branches are cut off, and no other one goes on."""
+    ends = (event for line in lines for event in line.events if event.kind is End.CUT_OFF)
+    return [end for end in ends if sum(lies_on(end.point, line) for line in lines) < 2]
+
+
 def passing(line: Followed, parameter: float) -> Iterator[Point]:
     """The cycles of a branch at a value of its parameter."""
     for a, b in pairwise(_with_folds(line.points, parameter)):

@@ -24,7 +24,7 @@ _ENDS: Final = 1e-9
 #: new contacts of small penetration.
 _STEPS: Final = (1e-4, 1e-3, 1e-5, 1e-6, 1e-7, 1e-8)
 #: The same for a cycle of twice the period, which begins where a multiplier is this close to -1.
-_DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3)
+_DOUBLED_STEPS: Final = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 _FLIPS: Final = 0.1
 #: Largest difference of an unknown between the change and the first cycle. Above the second it must shrink by
 #: the third factor with a tenth of the step: else the cycle lies elsewhere.

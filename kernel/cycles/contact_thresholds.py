@@ -10,12 +10,12 @@ from collections.abc import Iterator, Sequence
 from itertools import chain, groupby, islice
 from typing import Any, Final
 
-from kernel.cycles.any_contact import all_through, beside, seeds
+from kernel.cycles.any_contact import all_through, beside, cut_off, seeds
 from kernel.cycles.cycles import Point
 from kernel.cycles.descent import Descent, descend, fold_of, folds_of_twice
 from kernel.cycles.events import Kind
 from kernel.cycles.folds import Fold
-from kernel.cycles.follow import End, Followed
+from kernel.cycles.follow import End, Event, Followed
 from kernel.cycles.starts import start_on_cycle
 from kernel.cycles.thresholds import PERIODS, Thresholds, closed_form, lowest_end, where_searched
 from kernel.interface import prepare
@@ -41,6 +41,7 @@ def thresholds_of(plate: Any, omega: float, xi: float, cycles: Sequence[Point] =
         return answer._replace(reason="a spring at rest bounces at no Gamma")
     folds: list[Fold] = []
     ends: list[Descent] = [descend(cycle) for cycle in cycles]
+    cut: list[Event] = []
     ideal = closed_form(omega, xi)
     span = (0.0, _REACH * gamma_th)
     for periods in range(1, PERIODS + 1):
@@ -50,20 +51,22 @@ def thresholds_of(plate: Any, omega: float, xi: float, cycles: Sequence[Point] =
         lines = all_through(
             chain(seeds(plate, omega, xi, periods), above(plate, omega, xi, ideal_folds)), span
         )
+        cut += cut_off(lines)
         if periods == 1 and lines:
             answer = answer._replace(jump=_jump(lines[0]))
         below = [event for line in lines for event in line.events if event.point.parameter < gamma_th]
         minima = [fold for fold in (fold_of(x) for x in below if x.kind is Kind.FOLD) if fold.curvature > 0.0]
         folds += minima  # a stable stretch beside one may have no point of the branch
-        unmatched = (
-            x for x in ideal_folds if all(abs(x.gamma - fold.gamma) >= _NEAR * x.gamma for fold in minima)
-        )
+        unmatched = (x for x in ideal_folds if all(abs(y.gamma / x.gamma - 1.0) >= _NEAR for y in minima))
         folds += [fold for fold in unmatched if not fold.holds]
         flips = (event.point for event in below if event.kind is Kind.FLIP)
         folds += [fold for flip in flips for fold in folds_of_twice(flip, gamma_th)]
         lowest = (point for line in lines for point in lowest_stable(line))
         ends += [descend(point) for point in lowest if point.parameter < gamma_th]
-    return where_searched(lowest_end(answer, folds, ends))
+    answer = where_searched(lowest_end(answer, folds, ends))
+    at = ", ".join(f"{event.point.parameter:.4g}" for event in cut)
+    beyond = f"branches were cut off at Gamma = {at}: beyond, bouncing may reach lower" if cut else ""
+    return answer._replace(reason="; ".join(filter(None, [answer.reason, beyond])))
 
 
 def rest_ends(plate: Any, omega: float, xi: float) -> float:

@@ -77,7 +77,7 @@ class Parameter(StrEnum):
 
 
 class Curves(NamedTuple):
-    """Curves, each its points in order, and the codimension-2 points on them."""
+    """Curves, each its points in order, and codimension-2 points on them, or where branches are cut off."""
 
     curves: tuple[Events, ...]
     points: Events

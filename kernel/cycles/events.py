@@ -210,10 +210,12 @@ def branch_and_events(omega: float, xi: float, periods: int, points: int = POINT
         zeros = roots(lambda times: _tests(k, periods, times)[:2], t, value, slope)
         grazes = _grazes(k, periods, t, checked, nodes, zeros.x[zeros.which >= len(CROSSINGS)])
         f = floquet(k, periods, zeros.x)
-        torus = (zeros.which != KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
-        torus &= zeros.which != _POLES
-        which = np.concatenate([zeros.which[torus], grazes.which])
-        events = _events(k, periods, which, np.concatenate([zeros.x[torus], grazes.x]), nodes)
+        happens = (zeros.which != KINDS.index(Kind.NEIMARK_SACKER)) | (np.abs(f.trace) < 2.0)
+        happens &= zeros.which != _POLES
+        if xi == 0.0:  # the impact only touches zero, where n is zero at landing
+            happens &= zeros.which != KINDS.index(Kind.GRAZE_FLIGHT)
+        which = np.concatenate([zeros.which[happens], grazes.which])
+        events = _events(k, periods, which, np.concatenate([zeros.x[happens], grazes.x]), nodes)
         return _branch(k, periods, t, x, checked.reason), events
 
 

@@ -58,7 +58,7 @@ class Thresholds(NamedTuple):
     #: "Eq. 25", on other contacts "rest"; "fold (1,k)", "fold of word zs (2,2)" and the like; "unresolved",
     #: "not searched"
     cause: str = UNRESOLVED
-    reason: str = ""  # why it is not decided
+    reason: str = ""  # why it is not decided, or may be lower
     fold: Fold | None = None  # at `down`
     at_rest: str = EQ_25  # the cause if bouncing persists down to `gamma_th`
 

@@ -27,7 +27,7 @@ from service.views.springs.branches import (
     pieces_below,
     with_flights,
 )
-from service.views.springs.queries import GAMMA_MAX, MAX_GAMMA, ONLY_ALONG_GAMMA, name_of
+from service.views.springs.queries import GAMMA_MAX, ONLY_ALONG_GAMMA, Gamma, name_of
 from service.views.variables import coordinate
 from service.views.view import Call, Estimate, Number, Query, View
 from worker import store
@@ -50,7 +50,7 @@ class CellsQuery(Query):
     omega: Number | None = None
     xi: Number | None = None
     direction: Annotated[str | None, Field(description="rest, up or down; default: all of the sweep")] = None
-    gamma_max: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
+    gamma_max: Gamma | None = Field(
         None, description="branches are cut above this Γ; default: 8, of a study of orbits its own"
     )
     doubled: of_spring.WithDoubled = False

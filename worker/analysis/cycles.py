@@ -10,6 +10,7 @@ from kernel.cycles.any_contact import (
     both_ways,
     branches,
     branches_at,
+    cut_off,
     cycles_at_cell,
     event_record,
     is_doubled,
@@ -21,7 +22,7 @@ from kernel.cycles.any_contact import (
 from kernel.cycles.changes import doubled
 from kernel.cycles.curves import Curves, Parameter
 from kernel.cycles.cycles import Cycles, Point, admissible, cycle_from, cycle_through
-from kernel.cycles.events import Branch, Events, Kind, join_events
+from kernel.cycles.events import Branch, Events, Kind
 from kernel.cycles.follow import RANGE, End, Event, Followed, ahead, crossing, follow, happens
 from kernel.cycles.roots import Floats
 from kernel.params import Cell, Outcome
@@ -267,15 +268,18 @@ def follow_curves(
     """Curves of the events on a contact's branches over `along` in `span`, the other parameter at `fixed`.
 
     Events on branches along Gamma are followed both ways in small steps, up to cusps and as long as their
-    cycle is admissible. Finds every curve that crosses one of SECTIONS evenly spaced values. Raises
-    KernelInputError.
+    cycle is admissible. Finds every curve that crosses one of SECTIONS evenly spaced values, unless it lies
+    where the branch there was cut off: the points. Raises KernelInputError.
     """
     curves: list[list[Event]] = []
+    cut: list[Event] = []
     sections = np.linspace(*span, SECTIONS).tolist()
     for value in sections:
         omega, xi = (value, fixed) if along is Parameter.OMEGA else (fixed, value)
         plate = plate_at(contact, gamma_max, omega, xi)
-        for line in branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max)):
+        lines = branches(plate, omega, xi, periods, span=(RANGE[0], gamma_max))
+        cut += cut_off(lines)
+        for line in lines:
             for event in line.events:
                 if event.kind not in kinds or is_doubled(event.point):
                     continue
@@ -284,7 +288,8 @@ def follow_curves(
                     ways = (-step, sections[::-1]), (step, sections)
                     down, up = (list(_along(event, along, *way)) for way in ways)
                     curves.append([*down[::-1], event, *up])
-    return Curves(tuple(event_record(curve, MICRO_FLIGHT) for curve in curves), join_events([]))
+    *records, points = (event_record(events, MICRO_FLIGHT) for events in (*curves, cut))
+    return Curves(tuple(records), points)
 
 
 def _along(event: Event, along: Parameter, step: float, stops: list[float]) -> Iterator[Event]:

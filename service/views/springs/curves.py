@@ -9,13 +9,14 @@ from pydantic import Field
 
 from kernel.cycles.curves import Curves, Parameter, curves
 from kernel.cycles.events import KINDS, Kind, join_events, rows_of
+from kernel.cycles.follow import End
 from service.errors import InvalidRequest
 from service.pictures import ATTRACTORS, AXES, IDEAL, Figure, legend_beside, values_at
 from service.views.springs.branches import EVENTS, ROWS, below, columns, cycle_result, event_columns, padded
 from service.views.springs.queries import (
     GAMMA_MAX,
     ContactQuery,
-    GammaMax,
+    Gamma,
     Modes,
     grid_length,
     name_of,
@@ -49,7 +50,7 @@ class CurvesQuery(ContactQuery):
     xi_stop: Xi | None = None
     modes: Modes = "1-1,1-2"
     kinds: Annotated[str | None, Field(max_length=200, description="such as fold,flip; default: all")] = None
-    gamma_max: GammaMax = GAMMA_MAX
+    gamma_max: Annotated[Gamma, Field(description="curves are cut above this Γ")] = GAMMA_MAX
 
 
 def _plane(query: CurvesQuery) -> tuple[Parameter, float, Span]:
@@ -97,7 +98,8 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     The range is of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
     fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
     With a `model` they are the folds and flips of its own cycles, and end at cusps and where the segments
-    of a cycle change.
+    of a cycle change. The events are then `cut-off`: a branch ends there at its limit of points, and curves
+    beyond are missed.
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max
@@ -154,6 +156,7 @@ def draw(result: xarray.Dataset, figure: Figure) -> None:
     title, model = values_at(result, [other]), result.attrs["model"]
     title += "" if model == IDEAL else f": {model}"
     title += "; dotted: not admissible" if (result.violations.where(result.gamma.notnull()) > 0).any() else ""
+    title += "; branches were cut off" if (result.event_kind == End.CUT_OFF).any() else ""
     axes.set(xlabel=AXES[along], ylabel=AXES["gamma"], title=title)
 
 

@@ -32,10 +32,9 @@ from service.views.springs.branches import (
 )
 from service.views.springs.queries import (
     GAMMA_MAX,
-    MAX_GAMMA,
     ONLY_ALONG_GAMMA,
     ContactQuery,
-    GammaMax,
+    Gamma,
     Modes,
     grid_length,
     name_of,
@@ -70,7 +69,9 @@ class OrbitsQuery(ContactQuery):
     omega: Omega
     xi: Xi
     modes: Modes = "1-1,1-2"
-    gamma_max: GammaMax = GAMMA_MAX
+    gamma_max: Gamma | None = Field(
+        None, description=f"branches along gamma are cut above this Γ; default: {GAMMA_MAX:g}"
+    )
     points: int = Field(
         400, ge=10, le=MAX_POINTS, description="points of a branch, about; with a `model`, at most, each way"
     )
@@ -83,9 +84,7 @@ class OrbitsQuery(ContactQuery):
     along: Literal["gamma", "omega", "xi"] = Field(
         "gamma", description="what varies; of a model, omega or xi too, from half to twice its value"
     )
-    gamma: Annotated[Number, Field(gt=0, le=MAX_GAMMA)] | None = Field(
-        None, description="where another varies"
-    )
+    gamma: Gamma | None = Field(None, description="where another varies")
     doubled: WithDoubled = False
 
     @property
@@ -98,7 +97,7 @@ def parts(study: None, query: OrbitsQuery) -> Sequence[Call]:
     plate, grids = query.contact(), _grids(query)
     if plate is None:
         return [(branch_and_events, *grid) for grid in grids] if _seconds(query) > AT_ONCE_SECONDS else []
-    cell = Cell(query.gamma or query.gamma_max, query.omega, query.xi)
+    cell = Cell(query.gamma or query.gamma_max or GAMMA_MAX, query.omega, query.xi)
     value = getattr(cell, query.along)
     span = (RANGE[0], value) if query.gamma is None else (0.5 * value, 2.0 * value)
     modes = parse_modes(query.modes)
@@ -143,7 +142,8 @@ def compute(
         else:
             branches.append(_finer(*part, query) if query.has_window else part[0])
             events.append(part[1])
-    top = query.gamma_max if plate is None else np.inf  # followed branches end there, or are of one gamma
+    gamma_max = query.gamma_max or GAMMA_MAX
+    top = gamma_max if plate is None else np.inf  # followed branches end there, or are of one gamma
     kept = [rows_of(each, each.gamma <= top) for each in events]
     pieces, on = pieces_below(branches, [(x.gamma, x.flight_time) for x in kept], top)
     data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)
@@ -161,7 +161,7 @@ def compute(
     if query.along != "gamma":
         data |= padded((query.along,), pieces)
     model = IDEAL if plate is None else name_of(plate)
-    return cycle_result(data, coords, model=model, along=query.along, gamma_max=query.gamma_max)
+    return cycle_result(data, coords, model=model, along=query.along, gamma_max=gamma_max)
 
 
 #: The last branches of a process are kept.
@@ -210,7 +210,7 @@ def estimate(spec: None, query: OrbitsQuery) -> Estimate:
         raise InvalidRequest.of("gamma", "is required where omega or xi varies, and not where gamma does")
     if query.along != "gamma" and plate is None:
         raise InvalidRequest.of("along", "must be gamma without a model")
-    if query.along != "gamma" and query.gamma_max != GAMMA_MAX:  # the client sends its default
+    if query.along != "gamma" and query.gamma_max is not None:
         raise InvalidRequest.of("gamma_max", ONLY_ALONG_GAMMA.format(query.along))
     if plate is not None:
         lengths = [2 * query.points] * (_FAMILIES * (1 + query.doubled) * len(lengths))

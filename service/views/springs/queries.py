@@ -20,9 +20,7 @@ GAMMA_MAX: Final = 8.0
 MAX_GAMMA: Final = 1e6
 #: The rule for it.
 ONLY_ALONG_GAMMA: Final = "is of branches along gamma, and these are along {}"
-GammaMax = Annotated[
-    Number, Field(gt=0, le=MAX_GAMMA, description="branches and curves are cut above this Γ")
-]
+Gamma = Annotated[Number, Field(gt=0, le=MAX_GAMMA)]
 
 #: The contacts whose cycles are followed, and their parameters.
 _CONTACTS: Final[Mapping[str, type[Rigid | Soft]]] = {"rigid": Rigid, "soft": Soft}

@@ -46,7 +46,7 @@ _OF_SPRING: Final = (
     row("down", (), "<f8", "lowest Γ at which bouncing persists", comment="NaN: not decided"),
     row("cause", (), "U", "what ends bouncing at down"),
     row("status", (), "U", "how down was found: closed form, continued, searched, or unresolved"),
-    row("reason", (), "U", "why down is not decided"),
+    row("reason", (), "U", "why down is not decided, or may be lower"),
     row("missed", (), "<f8", "share of all starts of a basin that a search sees with 95 %",
         comment="of starts below the lowest end known, down to 0.3 of it"),
     row("lifetime", (), "<f8", "life of bouncing at Γ = down - delta", "plate periods"),

@@ -108,8 +108,7 @@ export class Explore extends Cycles {
     if (isAnswered) {
       const [jump, down, cause, reason] = ["jump", "down", "cause", "reason"].map((name) => this.thresholds[name].data);
       if (jump !== null) sentences.push(`On the way up, flights leap at Γ = ${number(jump, 4)}.`);
-      if (down === null) sentences.push(`The lowest Γ that bounces is ${cause}${reason ? `: ${reason}` : ""}.`);
-      else sentences.push(`Bouncing does not persist below Γ = ${number(down, 4)} (${cause}).`);
+      sentences.push(`${down === null ? `The lowest Γ that bounces is ${cause}` : `Bouncing does not persist below Γ = ${number(down, 4)} (${cause})`}${reason ? `: ${reason}` : ""}.`);
     } else if (isOwn) sentences.push("Workers follow the cycles of this contact; the first ones compile its kernel.");
     this.words.textContent = inSymbols(sentences.join(" "));
   }

@@ -54,6 +54,15 @@ def test_the_doubled_cycles_of_figure_2():
     assert min(np.abs(np.array(gammas(events, Kind.GRAZE_CONTACT)) - four["flight_vanishes"])) < 1e-6
 
 
+def test_a_doubled_cycle_begins_beside_a_contact_of_no_duration():
+    """At the second flip a contact takes 1e-4 rad; it vanishes on the doubled branch, 1e-3 from the flip."""
+    lines = branches(soft(0.424, 0.00354), 1.087, 0.0385, 1, span=(2.16, 2.17))
+    flips = [event.point for line in lines for event in line.events if event.kind is Kind.FLIP]
+    assert len(flips) == 2
+    for flip in flips:
+        assert doubled(flip).parameter == pytest.approx(flip.parameter, abs=1e-4)
+
+
 def test_a_torus_out_of_a_landing_that_takes_off_at_once():
     expected = REFERENCE["immediate_takeoff"]["neimark_sacker"]["gamma"]
     followed = branches(rigid(0.0), 1.28, 0.05, 2, span=(2.0, 3.0))

@@ -68,6 +68,12 @@ def test_rest_on_an_ideal_plate_ends_at_eq_25():
     assert rest_ends(soft(penetration=0.1), 0.6, 0.05) != pytest.approx(expected, rel=1e-3)
 
 
+def test_a_threshold_names_branches_that_were_cut_off():
+    answer = thresholds_of(rigid(0.7), 0.9, 0.06)
+    assert answer.down == answer.gamma_th
+    assert answer.reason.startswith("branches were cut off at Gamma = 0.6")
+
+
 def test_a_damping_that_was_not_searched_decides_nothing():
     answer = thresholds_of(soft(), 0.6, 0.03)
     assert (answer.cause, answer.fold) == (NOT_SEARCHED, None)

@@ -101,6 +101,13 @@ def test_conditions_break_at_events_only(omega, xi, periods):
         assert ((time > low - width) & (time < high + width)).any(), (low, high)
 
 
+def test_no_landing_grazes_without_damping():
+    """Where n is zero at a landing the impact touches zero, and changes no sign."""
+    _, events = branch_and_events(0.45, 0.0, 1)
+    assert 5.107673249 in of(events, Kind.IMMEDIATE_TAKEOFF, 8.0)[1].round(9)
+    assert of(events, Kind.GRAZE_FLIGHT)[1] == pytest.approx([3.616938], abs=1e-6)
+
+
 def test_a_dip_before_a_soft_landing_is_found():
     """The gap passes zero some 0.03 rad before a landing at 1e-3 and rises again by 1e-6."""
     omega, xi, at = 1.3013539025728416, 0.08275128198175498, 7.995266176766961

@@ -138,7 +138,7 @@ def test_a_search_that_finds_nothing_leaves_the_fold_that_is_known():
     ({"model": "soft", "energy": True}, "energy: is of the closed form"),
     ({"model": "soft", "flight_start": 0.0}, "flight_start: is of the closed form"),
     ({"doubled": True}, "doubled: needs a model"),
-    ({"model": "soft", "along": "xi", "gamma": 2, "gamma_max": 3}, "gamma_max: is of branches along gamma"),
+    ({"model": "soft", "along": "xi", "gamma": 2, "gamma_max": 8}, "gamma_max: is of branches along gamma"),
     ({"flight_start": 2.0, "flight_stop": 1.0}, "flight_start: must be below flight_stop"),
     ({"start": 0.6, "stop": 0.6}, "start: must be below stop, which is 0.6"),
     ({"model": "soft", "points": 1000, "modes": "1-1,1-2,1-3,1-4,1-5,1-6"}, "up to 72 core-seconds"),
@@ -200,10 +200,11 @@ def test_curves_of_many_hops_lie_close_together(
 
 
 def test_curves_of_folds_beside_grazes_go_on(python_client: Client):
-    """Where a contact of no duration, at the graze, also turns the branch."""
+    """Where a contact of no duration, at the graze, also turns the branch. Longer branches are cut off."""
     spring = {"modes": "1-1", "model": "soft", "restitution": 0.7, "penetration": 0.01, "xi": 0.0643}
     query = {"omega_start": 0.95, "omega_stop": 1.0, "kinds": "fold"}
     curves = python_client.curves(**spring, **query, progress=False)
+    assert (curves.event_kind == "cut-off").any()
     events = python_client.orbits(**spring, omega=0.98476)
     folds = events.event_gamma.values[events.event_kind.values == "fold"]
     at = [np.interp(0.98476, *curve) for curve in _points(curves, "omega")]
