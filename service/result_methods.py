@@ -435,8 +435,7 @@ class SpringMethods(Methods):
         The range is of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
         fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
         With a `model` they are the folds and flips of its own cycles, and end at cusps and where the segments
-        of a cycle change. The events are then `cut-off`: a branch ends there at its limit of points, and curves
-        beyond are missed.
+        of a cycle change. The events are then where branches with too many points are `cut-off`.
 
         Returns a Dataset with the attribute `complete` and the variables `omega`, `xi`, `gamma`,
         `flight_time` (rad), `violations`, `curve_kind`, `curve_bounces`, `curve_periods`, `event_kind`,

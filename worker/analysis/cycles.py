@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -250,10 +251,7 @@ def _longest_first(points: list[Point], micro_flight: float) -> Floats:
     """The flights of each cycle that count, at least one, longest first: (n, flights), rad; NaN beyond."""
     flights = [sorted(point.flights, reverse=True) for point in points]
     counted = [[t for t in times if t > micro_flight] or times[:1] for times in flights]
-    table = np.full((len(points), max(map(len, counted))), np.nan)
-    for row, times in zip(table, counted, strict=True):
-        row[: len(times)] = times
-    return table
+    return np.array(list(zip_longest(*counted, fillvalue=np.nan))).T
 
 
 def curves_seconds(contact: Rigid | Soft) -> float:
@@ -268,8 +266,8 @@ def follow_curves(
     """Curves of the events on a contact's branches over `along` in `span`, the other parameter at `fixed`.
 
     Events on branches along Gamma are followed both ways in small steps, up to cusps and as long as their
-    cycle is admissible. Finds every curve that crosses one of SECTIONS evenly spaced values, unless it lies
-    where the branch there was cut off: the points. Raises KernelInputError.
+    cycle is admissible. Finds every curve that crosses one of SECTIONS evenly spaced values, but for those
+    beyond the points, where branches are cut off. Raises KernelInputError.
     """
     curves: list[list[Event]] = []
     cut: list[Event] = []

@@ -98,8 +98,7 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     The range is of one of them, at one value of the other. The events are the cusps, Bogdanov-Takens and
     fold-flip points at which curves meet or turn. Workers compute the curves, some seconds for each mode.
     With a `model` they are the folds and flips of its own cycles, and end at cusps and where the segments
-    of a cycle change. The events are then `cut-off`: a branch ends there at its limit of points, and curves
-    beyond are missed.
+    of a cycle change. The events are then where branches with too many points are `cut-off`.
     """
     along, fixed, _ = _plane(query)
     top = query.gamma_max

@@ -59,7 +59,7 @@ class CyclesOverlay {
     try {
       const result = path && await requestDataset(path, { signal });
       Object.assign(this, { data: result && { ...this.read(result), place }, isComplete: path === this.requested && (result?.attrs.complete ?? true) });
-      this.note.textContent = "";
+      this.note.textContent = this.data?.events.some(({ kind }) => kind === "cut-off") ? "Branches with too many points were cut off" : "";
     } catch (error) {
       if (error.name === "AbortError") return;
       Object.assign(this, { data: null, requested: null, isComplete: true });
