@@ -228,14 +228,16 @@ def test_settling_skips_whole_cycles():
             np.testing.assert_allclose(getattr(short, name), getattr(long, name), atol=1e-12)
 
 
-@pytest.mark.parametrize(("xi", "epsilon"), [(10.0, None), (0.5, 0.15)])
-def test_rigid_spring_flies_like_the_ball(xi: float, epsilon: float | None):
-    """Figs. 3 and 4 (rigidity xi/Omega = 650), where both repeat and nothing changes nearby."""
+@pytest.mark.parametrize(
+    ("xi", "rigidity", "epsilon"), [(10.0, 650.0, None), (0.5, 650.0, 0.15), (1000.0, 2000.0, None)]
+)
+def test_rigid_spring_flies_like_the_ball(xi: float, rigidity: float, epsilon: float | None):
+    """Figs. 3 and 4, and a locked dashpot, where both repeat and nothing changes nearby."""
     gammas = np.linspace(1.05, 6.0, 100)
     epsilon = float(restitution.restitution_of(xi)) if epsilon is None else epsilon
     window = {"settle": 150, "observe": 50, "keep": 64, "micro_flight": 0.1}
     lines = [
-        run_any(gammas, xi / 650.0, xi, model, restitution=e, **window)
+        run_any(gammas, xi / rigidity, xi, model, restitution=e, **window)
         for model, e in ((Model.RIGID, 0.0), (Model.BALL, epsilon))
     ]
     compared = 0
