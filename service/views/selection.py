@@ -294,19 +294,18 @@ def filled_in(arrays: Arrays, name: str) -> NDArray[Any]:
     Steps lead to it from cell to cell of the same mode.
     """
     framed = [np.pad(np.atleast_2d(arrays[x].squeeze()), 1) for x in (*MODE_ARRAYS, COMPUTED, name)]
-    *modes, computed, values = (x.ravel() for x in framed)
-    known, flat, row = computed == 1, np.arange(computed.size), framed[0].shape[-1]
-    inner = flat.reshape(framed[0].shape)[(slice(1, -1),) * framed[0].ndim]
-    waiting, before = inner[computed[inner] == 0], -1
+    cells = np.arange(framed[0].size).reshape(framed[0].shape)[(slice(1, -1),) * framed[0].ndim]
+    row, (*modes, known, values) = framed[0].shape[-1], (x.ravel() for x in framed)
+    waiting, before = cells[known[cells] == 0], -1  # nothing is known of the frame
     while before != len(waiting):
         before = len(waiting)
         for step in (1, -1, row, -row):
             near = waiting + step
-            takes = np.logical_and.reduce([known[near], *(mode[near] == mode[waiting] for mode in modes)])
-            flat[waiting[takes]] = flat[near[takes]]
-            known[waiting[takes]] = True
+            takes = np.logical_and.reduce([known[near] == 1, *(x[near] == x[waiting] for x in modes)])
+            values[waiting[takes]] = values[near[takes]]
+            known[waiting[takes]] = 1
             waiting = waiting[~takes]
-    return values[inner].reshape(arrays[name].shape)
+    return values[cells].reshape(arrays[name].shape)
 
 
 def labelled(spec: SweepSpec, outcome: NDArray[np.uint8], arrays: Arrays) -> dict[str, NDArray[Any]]:
