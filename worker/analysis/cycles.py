@@ -297,26 +297,24 @@ def _along(event: Event, along: Parameter, step: float, stops: list[float]) -> I
     """
     largest = abs(step)
     last, slope, changed = event.point, np.zeros_like(event.point.x), False  # slope: by the parameter
-    while True:
-        begin = getattr(last.cycles, along)
-        stop = next((x for x in stops if (x - begin) * step > 0.0), None)
-        if stop is None:
-            return
-        value: Any = begin + step if abs(step) < _REACHES * abs(stop - begin) else stop
-        step = value - begin
-        cycles, x = last.cycles._replace(**{along: value}), last.x + step * slope
-        point = _event_at(cycles, x, last.tangent, event.kind)
-        if point is None and abs(step) > largest * _LEAST_STEP:
-            step *= 0.5
-            continue
-        if point is None and not changed:
-            point = _with_other_segments(cycles, last, event.kind, cycles.parameter(x))
-        if point is None:
-            return
-        yield Event(event.kind, point)
-        changed = point.letters != last.letters
-        slope = np.zeros_like(point.x) if changed else (point.x - last.x) / step
-        step, last = math.copysign(min(2.0 * abs(step), largest), step), point
+    for stop in stops:
+        while (stop - (begin := getattr(last.cycles, along))) * step > 0.0:
+            value = begin + step if abs(step) < _REACHES * abs(stop - begin) else stop
+            step, omega = value - begin, along is Parameter.OMEGA
+            cycles = last.cycles._replace(omega=value) if omega else last.cycles._replace(xi=value)
+            x = last.x + step * slope
+            point = _event_at(cycles, x, last.tangent, event.kind)
+            if point is None and abs(step) > largest * _LEAST_STEP:
+                step *= 0.5
+                continue
+            if point is None and not changed:
+                point = _with_other_segments(cycles, last, event.kind, cycles.parameter(x))
+            if point is None:
+                return
+            yield Event(event.kind, point)
+            changed = point.letters != last.letters
+            slope = np.zeros_like(point.x) if changed else (point.x - last.x) / step
+            step, last = math.copysign(min(2.0 * abs(step), largest), step), point
 
 
 def _with_other_segments(cycles: Cycles, last: Point, kind: Kind | End, gamma: float) -> Point | None:
