@@ -19,6 +19,7 @@ from service.result_methods import ResultMethods, SpringMethods
 
 if TYPE_CHECKING:
     import xarray
+    from pandas import DataFrame
 
     from service.client import Client, Job
 
@@ -186,43 +187,50 @@ def _rows(result: "xarray.Dataset", rows: str) -> str:
     Shows every n-th point of a curve.
     """
     dims = {*map(str, result[rows].dims)}
-    result, every = result.reset_coords(), 1
-    if "point" in dims:
-        every = -(-result.sizes["point"] // POINTS)
-        result = result.isel(point=slice(None, None, every))
+    every = -(-result.sizes["point"] // POINTS) if "point" in dims else 1
+    frame = _frame(result.isel(point=slice(None, None, every), missing_dims="ignore"), rows, dims)
+    if frame.empty:
+        return f"{'  '.join([*map(str, frame.index.names), *frame.columns])}: none"
+    frame = frame.loc[:, [not (values.isna() | (values == "")).all() for _, values in frame.items()]]
+    notes = [f"one point of {every} is shown: -o writes all"] if every > 1 else []
+    for column in [str(name) for name, x in frame.items() if x.astype(str).str.len().max() > LONG]:
+        texts = frame.pop(column)
+        notes += [f"{_place(texts.index.names, index)}: {text}" for index, text in texts.items() if text]
+    words = frame.select_dtypes(exclude="number")
+    constant = words.columns[(words.nunique() == 1) & (len(frame) > 1)]
+    for apart, digits in ((constant[:0], DIGITS), *((constant, digits) for digits in range(DIGITS, 5, -1))):
+        lines = _lines(frame.drop(columns=apart), digits)
+        if max(map(len, lines)) <= WIDTH:
+            break
+    notes = [*(f"{name}  {words[name].iloc[0]}" for name in apart), *notes]
+    return "\n".join([*lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in notes)])
+
+
+def _frame(result: "xarray.Dataset", rows: str, dims: set[str]) -> "DataFrame":
+    """The variables over `dims`, those of `rows`, with words for flags and a column for each exponent."""
+    result = result.reset_coords()
     if "lyapunov" in result and "exponent" not in dims:
         exponents = enumerate(result.lyapunov.transpose("exponent", ...), 1)
         result = result.assign({f"lyapunov_{i}": exponent for i, exponent in exponents})
     names = [str(name) for name, v in result.data_vars.items() if v.dims and dims.issuperset(v.dims)]
     frame = result[names].to_dataframe()
     for name in names:
-        attrs = result[name].attrs
-        if "flag_values" in attrs:
+        if "flag_values" in (attrs := result[name].attrs):
             meanings = dict(zip(attrs["flag_values"].tolist(), attrs["flag_meanings"].split(), strict=True))
             frame[name] = frame[name].map(meanings)
-    prefixes = tuple(f"{dim}_" for dim in dims if dim != "flight")
-    frame.columns = [_without(prefixes, str(name)) for name in frame.columns]
     if len(dims) > 1:
-        frame = frame[frame[_without(prefixes, rows)].notna()]
-    if frame.empty:
-        return f"{'  '.join([*map(str, frame.index.names), *frame.columns])}: none"
-    frame = frame.loc[:, [not (values.isna() | (values == "")).all() for _, values in frame.items()]]
-    notes = [f"one point of {every} is shown: -o writes all"] if every > 1 else []
-    for column in frame.columns[[values.astype(str).str.len().max() > LONG for _, values in frame.items()]]:
-        texts = frame.pop(column)
-        notes += [f"{_place(texts.index.names, index)}: {text}" for index, text in texts.items() if text]
-    words = frame.select_dtypes(exclude="number")
-    constant = [name for name in words.columns[words.nunique() == 1] if len(frame) > 1]
-    places = {str(name): _told_apart(frame.index.unique(name)) for name in frame.index.names}
-    for narrower, digits in ((False, DIGITS), *((True, digits) for digits in range(DIGITS, 5, -1))):
-        shown = frame.drop(columns=constant if narrower else []).reset_index()
-        as_text = f"{{:.{digits}g}}".format
-        told = {name: f"{{:.{max(digits, least)}g}}".format for name, least in places.items() if least}
-        lines = shown.to_string(index=False, na_rep="-", float_format=as_text, formatters=told).splitlines()
-        if max(map(len, lines)) <= WIDTH:
-            break
-    notes = [*(f"{name}  {words[name].iloc[0]}" for name in constant if narrower), *notes]
-    return "\n".join([*lines, *(fill(note, WIDTH, subsequent_indent="  ") for note in notes)])
+        frame = frame[frame[rows].notna()]
+    frame.columns = frame.columns.str.replace(f"^({'|'.join(dims - {'flight'})})_", "", regex=True)
+    return frame
+
+
+def _lines(frame: "DataFrame", digits: int) -> list[str]:
+    """The lines of a table. Numbers of its index have as many digits as tell them apart."""
+    least = {str(name): _told_apart(frame.index.unique(name)) for name in frame.index.names}
+    told = {name: f"{{:.{max(digits, n)}g}}".format for name, n in least.items() if n}
+    return frame.reset_index().to_string(
+        index=False, na_rep="-", float_format=f"{{:.{digits}g}}".format, formatters=told
+    ).splitlines()  # fmt: skip
 
 
 def _told_apart(values: Any) -> int:
@@ -237,10 +245,6 @@ def _place(names: Sequence[Any], index: Any) -> str:
     values = index if isinstance(index, tuple) else (index,)
     shown = (f"{value:.6g}" if isinstance(value, float) else str(value) for value in values)
     return ", ".join(f"{name} {value}" for name, value in zip(names, shown, strict=True))
-
-
-def _without(prefixes: tuple[str, ...], name: str) -> str:
-    return next((name.removeprefix(prefix) for prefix in prefixes if name.startswith(prefix)), name)
 
 
 @click.command()
