@@ -15,7 +15,7 @@ admissible, where the branch goes on as another word.
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -94,20 +94,20 @@ def conjecture(omega: float, xi: float, cycles: Sequence["Point"] = ()) -> Thres
     near such a fold. Raises KernelInputError.
     """
     rule = closed_form(omega, xi)
-    gamma_th, folds = rule.gamma_th, rule.minima
-    ends: list[Descent] = []
-    if cycles or not rule.decides:
-        from kernel.cycles import descent  # noqa: PLC0415 - imports numba
+    answer, folds = Thresholds(omega, xi, rule.gamma_th, rule.jump), list(rule.minima)
+    if rule.decides and not cycles:
+        return lowest_end(answer, folds, [])
+    from kernel.cycles.descent import descend, folds_of_twice, solved  # noqa: PLC0415 - imports numba
 
-        solved = partial(descent.solved, omega, xi)
-        folds = [*folds, *(x for flip in rule.flips for x in descent.folds_of_twice(solved(flip), gamma_th))]
-        lowest = _lowest(folds, gamma_th)
-        last = [cycle for cycle in rule.last if cycle.gamma < lowest]
-        ends = [descent.descend(solved(cycle.within)) for cycle in last]
-        for cycle, end in zip(last, ends, strict=True):
-            folds = [fold for fold in folds if end.fold is None or not cycle.leads_to(fold)]
-        ends += map(descent.descend, cycles)
-    return lowest_end(Thresholds(omega, xi, gamma_th, rule.jump), folds, ends)
+    for flip in rule.flips:
+        folds += folds_of_twice(solved(omega, xi, flip), rule.gamma_th)
+    lowest, ends = _lowest(folds, rule.gamma_th), []
+    for last in rule.last:
+        if last.gamma < lowest:
+            ends.append(descend(solved(omega, xi, last.within)))
+            if ends[-1].fold is not None:  # other words led there, instead of the orbits beyond
+                folds = [fold for fold in folds if not last.leads_to(fold)]
+    return lowest_end(answer, folds, [*ends, *map(descend, cycles)])
 
 
 def lowest_end(answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descent"]) -> Thresholds:
