@@ -38,7 +38,7 @@ class Crept(NamedTuple):
 
     cell: Cell
     line: Line  # of the copies that bounce there
-    gone: float  # the Gamma below it at which all copies came to rest; NaN: none
+    gone: float = np.nan  # the Gamma below it at which all copies came to rest; NaN: none
 
     @property
     def periods(self) -> int:
@@ -79,32 +79,33 @@ def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Cr
     ones keep. The steps end at a cycle of at most LONGEST plate periods. Otherwise returns the last step
     after which a copy bounces for long.
     """
-    lowest, states, step, gone = cell, state[None], _FIRST, np.nan
-
-    def carried(gamma: float, stay: int) -> Line | None:
-        copies = np.resize(states, (_COPIES, state.size))
-        copies[:, 2:] *= lowest.gamma / gamma * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
-        return _bouncing(plate, cell._replace(gamma=gamma), copies, stay)
-
-    line = carried(cell.gamma, _STAY)
+    line = _bouncing(plate, cell, _copies(rng, state, 1.0), _STAY)
     if line is None:
         return None
-    steps = [Crept(cell, line, gone)]
+    steps, step, gone = [Crept(cell, line)], _FIRST, np.nan
     for _ in range(_STEPS):
-        states, gamma = line.end_state, lowest.gamma * (1.0 - step)
-        lower = carried(gamma, _STAY if step > _FINE else _FINE_STAY)
-        if lower is not None:
-            lowest, line, gone = lowest._replace(gamma=gamma), lower, gone if gamma > gone else np.nan
-            steps.append(Crept(lowest, line, gone))
-            if np.isnan(gone):
-                step = min(1.5 * step, _LARGEST)
+        last = steps[-1]
+        lower = last.cell._replace(gamma=last.cell.gamma * (1.0 - step))
+        copies = _copies(rng, last.line.end_state, last.cell.gamma / lower.gamma)
+        line = _bouncing(plate, lower, copies, _STAY if step > _FINE else _FINE_STAY)
+        if line is not None:
+            steps.append(Crept(lower, line))
+            if not lower.gamma > gone:  # where copies came to rest, one survives a smaller step
+                gone, step = np.nan, min(1.5 * step, _LARGEST)
                 if 0 < steps[-1].periods <= LONGEST:
                     return steps[-1]
         elif step < _SMALLEST:
             break
         else:
-            gone, step = float(np.fmax(gone, gamma)), 0.5 * step
+            gone, step = float(np.fmax(gone, lower.gamma)), 0.5 * step
     return _lasting(plate, steps, gone)
+
+
+def _copies(rng: np.random.Generator, states: Floats, scale: float) -> Floats:
+    """Copies of a motion in one or more states, its lengths and velocities scaled, spread a little."""
+    copies = np.resize(states, (_COPIES, states.shape[-1]))
+    copies[:, 2:] *= scale * (1.0 + _SPREAD * rng.normal(size=copies[:, 2:].shape))
+    return copies
 
 
 def _bouncing(plate: Any, cell: Cell, states: Floats, settle: int) -> Line | None:
@@ -115,7 +116,7 @@ def _bouncing(plate: Any, cell: Cell, states: Floats, settle: int) -> Line | Non
 
 
 def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
-    """The last step after which a copy bounces for long, by bisection. `gone`: that of the last step."""
+    """The last step after which a copy bounces for long, by bisection. gone: below the last step."""
     good, bad, lasting = -1, len(steps), None
     i = bad - 1
     while bad - good > 1:
@@ -123,7 +124,7 @@ def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
         if line is None:
             bad, gone = i, steps[i].cell.gamma
         else:
-            good, lasting = i, Crept(steps[i].cell, line, gone)
+            good, lasting = i, steps[i]._replace(line=line)
         i = (good + bad) // 2
     return None if lasting is None else lasting._replace(gone=gone)
 
