@@ -123,26 +123,26 @@ class _Search:
 
     def _look(self, values: Floats) -> None:
         """Run starts at these Gammas; follow cycles beside their transients, and the survivors."""
-        states = [_starts(self.rng, Cell(float(x), self.omega, self.xi), self.starts) for x in values]
-        gamma, state = np.repeat(values, list(map(len, states))), np.concatenate(states)
+        starts = [_starts(self.rng, Cell(float(x), self.omega, self.xi), self.starts) for x in values]
+        gamma, state = np.repeat(values, list(map(len, starts))), np.concatenate(starts)
         transients = []
         for settle in _LOOKS:
             line = run(self.plate, gamma, self.omega, self.xi, state, settle, 8)
             left = np.flatnonzero(line.outcome != Outcome.AT_REST)
             if settle > _TRANSIENT:
                 left = np.concatenate([left[gamma[left] == x][:_MOST] for x in values])
-            if not len(left):
-                break
             gamma, state = gamma[left], line.end_state[left]
+            if not len(gamma):
+                break
             some = self.rng.permutation(len(gamma))[: round(_SEEDS * self.starts)]
             transients += list(zip(gamma[some].tolist(), state[some], strict=True))
-        else:
-            line = run(self.plate, gamma, self.omega, self.xi, state, _FOLLOWED, 100)
         for point in self._cycles(transients):
             self._follow(point)
-        for i in _lowest_of_each(line, gamma):
-            cell = Cell(float(gamma[i]), self.omega, self.xi)
-            self._down(cell, int(line.periods[i]), line.end_state[i])
+        if len(gamma):
+            line = run(self.plate, gamma, self.omega, self.xi, state, _FOLLOWED, 100)
+            for i in _lowest_of_each(line, gamma):
+                cell = Cell(float(gamma[i]), self.omega, self.xi)
+                self._down(cell, int(line.periods[i]), line.end_state[i])
 
     def _cycles(self, states: list[tuple[float, Floats]]) -> list[Point]:
         """The cycles that Newton's method finds beside states, each once, the shortest first."""
