@@ -130,47 +130,43 @@ class BounceAccessor:
         dataset = _selected(self._dataset, where)
         scalars = set(pictures.AXES) & set(dataset.coords) - set(dataset.dims)
         selected = {axis: dataset[axis].item() for axis in scalars}
+        is_sweep = "outcome" in dataset and "direction" in dataset.coords
+        dims = set(dataset.outcome.dims) if is_sweep else set()
+        is_line = len(dims - {"direction"}) == 1 and "flight_time" in dataset
+        along, value = "omega", "gamma" if "analytic" in dataset else None
+        if is_line:
+            along, value = pictures.along_of(dataset), "flight_time"
+        points = None if data is None or value is None else measured(data, along, value, selected, frequency)
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:
             pictures.draw_thresholds(ax, dataset)
-            if data is not None:
-                points = measured(data, "omega", "gamma", selected)
-                computed = [dataset[name].values for name in ("up", "down")]
-                pictures.draw_measured(ax, points, dataset.omega.values, np.stack(computed, axis=-1))
-            return ax
-        if "branch" in dataset.dims and "outcome" not in dataset:
-            pictures.draw_cycles(ax, dataset)
-            return ax
-        if "outcome" not in dataset or "direction" not in dataset.coords:
-            raise BounceError("plot: is of a diagram, a map of modes, thresholds, branches, or a whole sweep")
-        dims = set(dataset.outcome.dims)
-        if len(dims - {"direction"}) == 1 and "flight_time" in dataset:
-            along = pictures.along_of(dataset)
+            computed = np.stack([dataset.up.values, dataset.down.values], axis=-1)
+        elif is_line:
             values, longest = dataset[along].values, 0.0
-            if data is not None:
-                points = measured(data, along, "flight_time", selected, frequency)
+            flights = dataset.flight_time.transpose(along, ...).values
+            computed = flights.reshape(len(flights), -1)
+            if points is not None:
                 shown = points.y[(points.x >= values[0]) & (points.x <= values[-1])]
-                longest = float(
-                    max(np.nanmax(dataset.flight_time.values, initial=0.0), shown.max(initial=0.0))
-                )
+                longest = float(max(np.nanmax(flights, initial=0.0), shown.max(initial=0.0)))
             pictures.draw_diagram(ax, dataset, longest)
-            fixed = [axis for axis in pictures.AXES if axis != along]
-            ax.set_title(pictures.values_at(dataset, fixed))
+            ax.set_title(pictures.values_at(dataset, [axis for axis in pictures.AXES if axis != along]))
             if branches is not None:
                 _check_spring(branches, selected)
                 pictures.draw_branches(ax, branches)
-            if data is not None:
-                flights = dataset.flight_time.transpose(along, ...).values
-                pictures.draw_measured(ax, points, values, flights.reshape(len(flights), -1))
-                return ax
+        elif "branch" in dataset.dims and "outcome" not in dataset:
+            pictures.draw_cycles(ax, dataset)
         elif dims == {"gamma", "omega"}:
             if "flight_time" in dataset:  # of a whole sweep, whose margins nobody has asked for
                 dataset = dataset.drop_vars("multiplier", errors="ignore")
             pictures.draw_modes(ax, dataset.transpose("omega", "gamma", ...))
-        else:
+        elif is_sweep:
             several = ", ".join(f"{dim} ({dataset.sizes[dim]} values)" for dim in dataset.outcome.dims)
             raise BounceError(f"plot: a line, or a plane of gamma and omega; select of {several}")
-        if data is not None:
+        else:
+            raise BounceError("plot: is of a diagram, a map of modes, thresholds, branches, or a whole sweep")
+        if points is not None:
+            pictures.draw_measured(ax, points, dataset[along].values, computed)
+        elif data is not None:
             raise BounceError("data: is drawn over a diagram or thresholds")
         return ax
 

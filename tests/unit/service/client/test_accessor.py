@@ -75,12 +75,15 @@ def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
 def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset):
     grid = ("branch", "point")
     values = {"gamma": [[0.6, 1.0]], "flight_time": [[1.0, 2.0]], "stable": [[1, 1]], "violations": [[0, 0]]}
-    branches = xarray.Dataset({name: (grid, np.array(each)) for name, each in values.items()})
+    arrays = {name: (grid, np.array(each)) for name, each in values.items()}
+    branches = xarray.Dataset(arrays, {"omega": 0.6, "xi": 0.05}, {"model": "rigid"})
     line = sweep.sel(omega=0.6, direction="down").squeeze("xi")
     plain, over = (line.bounce.plot(ax=Figure().subplots(), branches=each) for each in (None, branches))
     assert len(over.lines) == len(plain.lines) + 3
     with pytest.raises(BounceError, match=r"branches: are of omega 0\.7, the diagram of 0\.6"):
         line.bounce.plot(ax=Figure().subplots(), branches=branches.assign_coords(omega=0.7))
+    with pytest.raises(BounceError, match="data: is drawn over a diagram or thresholds"):
+        branches.bounce.plot(ax=Figure().subplots(), data={"gamma": [0.6], "flight_time": [1.0]})
 
 
 @for_each(("where", "message"), [
