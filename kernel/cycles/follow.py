@@ -193,12 +193,11 @@ def _walk(first: Point, points: int, leaves: Callable[[Point], bool], origin: Po
             break
         if step < smallest:
             return _Stretch(line, Broken("too small", 0))
-        point, angle = _stepped(last, step, bend)
-        if point is None or angle > _TURN:
+        solution, angle = _stepped(last, step, bend)
+        if solution is None or angle > _TURN:
             step *= 0.5
             continue
-        solution = point
-        point, broken = confirmed(point)
+        point, broken = confirmed(solution)
         if broken is not None:
             if step <= _NEAR:
                 return _Stretch(line, broken, solution if len(solution.x) == len(point.x) else point, step)
@@ -323,19 +322,19 @@ def root(node: Point, reach: float, function: Callable[[Point], float]) -> Point
         return (point, value) if math.isfinite(value) else (None, -low_value)
 
     high = reach
-    best, high_value = value_at(high)
     for _ in range(_STRETCHES):
+        best, high_value = value_at(high)
         if high_value * low_value < 0.0:
             break
         high *= _STRETCH
-        best, high_value = value_at(high)
     else:
         return None
     best_value, side, first, since = abs(high_value), 0, low_value, 0
     near_zero = max(1e-15, _ZERO * min(abs(low_value), abs(high_value)))
     for k in range(_STEPS):
-        x = low - low_value * (high - low) / (high_value - low_value) if k % 4 < 3 else 0.5 * (low + high)
-        x = x if low < x < high else 0.5 * (low + high)
+        x = low - low_value * (high - low) / (high_value - low_value)
+        if k % 4 == 3 or not low < x < high:
+            x = 0.5 * (low + high)
         point, value = value_at(x)
         since += 1
         if point is not None and abs(value) < best_value:
