@@ -59,17 +59,14 @@ def run(
     plate: Any, gamma: Floats, omega: float, xi: float, states: Floats, settle: int, observe: int
 ) -> Line:
     """The record of n cells of one spring: gamma (n,), each from its row of `states` (n, 6)."""
-    one = np.ones(len(gamma))
-    return run_line(
-        gamma, omega * one, xi * one, plate=_cells(plate, len(gamma)), carry=False, states=states,
-        settle=settle, observe=observe, keep=64,
-    )  # fmt: skip
+    return _run(plate, gamma, omega, xi, carry=False, states=states, settle=settle, observe=observe, keep=64)
 
 
-def _cells(plate: Any, count: int) -> Any:
-    """The plate of one cell, repeated for `count` cells."""
-    arrays = {name: x for name, x in plate._asdict().items() if isinstance(x, np.ndarray)}
-    return plate._replace(**{name: np.repeat(x, count) for name, x in arrays.items()})
+def _run(plate: Any, gamma: Floats, omega: float, xi: float, **options: Any) -> Line:
+    """The record of n cells of one spring, whose plate is of one cell; options as of `run_line`."""
+    n, one = len(gamma), np.ones(len(gamma))
+    arrays = {name: np.repeat(x, n) for name, x in plate._asdict().items() if isinstance(x, np.ndarray)}
+    return run_line(gamma, omega * one, xi * one, plate=plate._replace(**arrays), **options)
 
 
 def creep(plate: Any, cell: Cell, state: Floats, rng: np.random.Generator) -> Crept | None:
@@ -171,12 +168,9 @@ def _on_plane(plate: Any, cell: Cell, around: Point, states: Floats) -> NDArray[
 
 def _strobed(plate: Any, cell: Cell, state: Floats, periods: int, rounds: int) -> Floats:
     """The states (rounds, 6) at plate phase 0, one in each `periods` plate periods."""
-    one = np.ones(rounds)
-    line = run_line(
-        cell.gamma * one, cell.omega * one, cell.xi * one, plate=_cells(plate, rounds), carry=True,
-        settle=periods - 1, observe=1, keep=1, start=Start(state, cell),
-    )  # fmt: skip
-    return line.end_state
+    gamma, start = np.full(rounds, cell.gamma), Start(state, cell)
+    options: Any = {"carry": True, "settle": periods - 1, "observe": 1, "keep": 1, "start": start}
+    return _run(plate, gamma, cell.omega, cell.xi, **options).end_state
 
 
 def _mean(turns: Floats) -> float:
