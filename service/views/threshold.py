@@ -116,26 +116,19 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
     if query.tolerance is not None:
         data |= _refined(data, refined)
     predictions = [prediction for part in computed[len(refined) :] for prediction in part]
-    why_not = _left_out(spec, xi, query.predict)
-    if not (predictions or why_not):
-        predictions = [predicted(value, xi) for value in omega.tolist()]
-    pairs = zip(data["down"].tolist(), predictions, strict=bool(predictions))
-    differences = [_difference(spec, query.tolerance, *pair) for pair in pairs]
-    rows = [(x.jump, x.down, x.cause, why) for x, why in zip(predictions, differences, strict=True)]
-    rows = rows or [(np.nan, np.nan, why_not, "")] * len(omega)
-    columns: Any = zip(*rows, strict=True)
-    data |= zip(("predicted_jump", "predicted_down", "cause", "difference"), columns, strict=True)
+    if why_not := _left_out(spec, xi, query.predict):
+        predictions = [Thresholds(value, xi, np.nan, cause=why_not) for value in omega.tolist()]
+    predictions = predictions or [predicted(value, xi) for value in omega.tolist()]
+    pairs = zip(data["down"].tolist(), predictions, strict=True)
     analytic = threshold(omega, xi)
-    is_spring = spec.model.kind != "ball"
-    data["analytic"] = np.where(is_spring & np.isfinite(analytic), analytic, np.nan)
-    contact = f"{IDEAL}: the contact of the sweep"
-    if not is_ideal(spec.model):
-        contact = f"{IDEAL}: not the contact of the sweep, which is {name_of(spec.model)}"
-    if query.predict == "search" or (query.predict == "cells" and study.chunks_done):
-        own = name_of(orbits.contact_of(spec))
-        how = "searches" if query.predict == "search" else "cycles continued from the sweep's cells"
-        contact = f"{own}: {how}; others may reach lower"
-    attrs: dict[str, Any] = {"prediction": contact, "model": spec.model.kind, "complete": complete}
+    data |= {
+        "analytic": np.where((spec.model.kind != "ball") & np.isfinite(analytic), analytic, np.nan),
+        "predicted_jump": [prediction.jump for prediction in predictions],
+        "predicted_down": [prediction.down for prediction in predictions],
+        "cause": [prediction.cause for prediction in predictions],
+        "difference": [_difference(spec, query.tolerance, *pair) for pair in pairs],
+    }
+    attrs = {"prediction": _prediction(study, query), "model": spec.model.kind, "complete": complete}
     attrs |= query.model_dump(include={"tolerance", "gamma_start", "gamma_stop"}, exclude_none=True)
     window = selection.between(omega, query, "omega_start", "omega_stop")
     return dataset(
@@ -143,6 +136,16 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
         {"omega": coordinate("omega", omega), "xi": coordinate("xi", xi)},
         attrs,
     ).isel(omega=slice(window.start, window.stop))
+
+
+def _prediction(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> str:
+    """The contact of a prediction, and how it was made."""
+    if query.predict == "search" or (query.predict == "cells" and study.chunks_done):
+        how = "searches" if query.predict == "search" else "cycles continued from the sweep's cells"
+        return f"{name_of(orbits.contact_of(study.spec))}: {how}; others may reach lower"
+    own = study.spec.model
+    whose = "the contact of the sweep"
+    return f"{IDEAL}: {whose if is_ideal(own) else f'not {whose}, which is {name_of(own)}'}"
 
 
 def estimate(spec: SweepSpec, query: ThresholdQuery) -> Estimate:
@@ -207,25 +210,24 @@ def parts(study: selection.Stored[SweepSpec], query: ThresholdQuery) -> Sequence
     return calls
 
 
-def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, NDArray[Any]], bool]:
+def on_grid_of(study: selection.Stored[SweepSpec], xi: int) -> tuple[dict[str, Any], bool]:
     """The thresholds on the grid in gamma with their statuses, and whether every cell is done."""
     spec = study.spec
     gamma, omega = spec.axis_values("gamma"), spec.axis_values("omega")
     endless = endless_rest(spec, omega, float(spec.axis_values("xi")[xi]))
-    data: dict[str, NDArray[Any]] = {}
+    data: dict[str, Any] = {}
     for name in ("up", "down"):
         data[name] = np.full(len(omega), np.nan)
         data[f"{name}_status"] = np.full(len(omega), Status.NOT_RAMPED.value, object)
     complete, rows = True, max(1, selection.MAX_READ // len(gamma))
     for direction in spec.directions:
-        down = direction == "down"
-        name = "down" if down else "up"
+        name = "down" if direction == "down" else "up"
         for low in range(0, len(omega), rows):
             some: selection.Indices = {"xi": xi, "omega": slice(low, low + rows)}
             outcomes = selection.read_direction(study, ["outcome"], direction, some)["outcome"]
             complete = complete and study.is_complete(outcomes)
             for i, outcome in enumerate(outcomes, low):
-                bracket = on_grid(outcome, down, bool(endless[i]))
+                bracket = on_grid(outcome, name == "down", bool(endless[i]))
                 data[f"{name}_status"][i] = bracket.status.value
                 if bracket.status is Status.FOUND and bracket.bouncing is not None:
                     data[name][i] = gamma[bracket.bouncing]
