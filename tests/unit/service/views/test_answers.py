@@ -9,7 +9,7 @@ import csv
 import json
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Final
@@ -258,18 +258,14 @@ def _list(values: Sequence[Any]) -> Any:
 
 
 def _cases() -> Iterator[str]:
-    for number, (path, query) in enumerate(MODEL):
-        yield f"model {number} {path} {_told(query)}"
-    for number, motion in enumerate(MOTIONS):
-        yield f"motion {number} {_told(motion)}"
-    for number, name in enumerate(SPECS):
-        yield f"cost {number} {name}"
-    for number, (name, document, query) in enumerate(QUERIES):
-        yield f"query {number} {name} {document} {_told(query)}"
-    for number, (name, document, query) in enumerate(COSTLY):
-        yield f"memory {number} {name} {document} {_told(query)}"
-    for number, (name, method, arguments) in enumerate(READ):
-        yield f"client {number} {name} {method} {_told(arguments)}"
+    kinds: dict[str, Iterable[Sequence[Any]]] = {
+        "model": MODEL, "motion": [(motion,) for motion in MOTIONS], "cost": [(name,) for name in SPECS],
+        "query": QUERIES, "memory": COSTLY, "client": READ,
+    }  # fmt: skip
+    for kind, rows in kinds.items():
+        for number, parts in enumerate(rows):
+            told = (_told(part) if isinstance(part, Mapping) else str(part) for part in parts)
+            yield " ".join([kind, str(number), *told])
 
 
 def _told(query: Mapping[str, Any]) -> str:
@@ -282,8 +278,8 @@ CASES: Final = tuple(_cases())
 def _differences(found: Any, expected: Any, where: str = "") -> Iterator[str]:
     if isinstance(found, Mapping) and isinstance(expected, Mapping):
         for name in sorted({*found, *expected}):
-            nothing = "nothing"
-            yield from _differences(found.get(name, nothing), expected.get(name, nothing), f"{where}.{name}")
+            one, other = (each.get(name, "nothing") for each in (found, expected))
+            yield from _differences(one, other, f"{where}.{name}")
     elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
         for i, (one, other) in enumerate(zip(found, expected, strict=True)):
             yield from _differences(one, other, f"{where}[{i}]")
