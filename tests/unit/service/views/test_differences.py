@@ -49,7 +49,8 @@ def test_cells_are_compared_with_the_nearest_ones_within_the_other_sweep(jobs: l
     most = f"no threshold in both moves by more than {moved:.2g} at the 1 of 4 frequencies that both have"
     assert found.attrs["sentence"] == f"{share}; {most}."
     drawn = jobs[0].result_file("difference", "svg", other=jobs[1].id, xi=0.26).decode()
-    assert all(f"{part}<" in drawn for part in (f"{share};", f"{most}.", "rest, where modes differ"))
+    assert all(f"{part}<" in drawn for part in (f"{share};", f"{most}."))
+    assert "rest, where modes differ" in drawn
     thinned = jobs[0].difference(jobs[1].id, xi=0.26, every=3)
     np.testing.assert_array_equal(thinned.differs, found.differs[::3, ::3])
     np.testing.assert_array_equal(thinned.up_moved, found.up_moved[::3])
