@@ -39,7 +39,7 @@ export class SweepForm {
   }
 
   refresh() {
-    if (this.isLoaded) this.estimate();
+    if (this.isLoaded) this.#onChange();
     else this.#load();
   }
 
@@ -120,9 +120,9 @@ export class SweepForm {
       const spec = history.state ?? (job || preset)?.spec; // Back has returned to what was submitted
       const axes = axesOf(currentQuery(), spec);
       const window = job && Object.keys(axes).length > 0 && { ...axes, name: `Window of ${job.name || from.slice(0, 8)}`, parent: from };
-      this.source = { ...spec, ...window };
       const contact = axes.omega && { model: { kind: model === "soft" ? model : "rigid", restitution, penetration } };
-      this.#fill(spec ? this.source : { ...this.studies.rest.begin, ...axes, ...contact });
+      this.source = spec ? { ...spec, ...window } : { ...axes, ...contact };
+      this.#fill(spec ? this.source : { ...this.studies.rest.begin, ...this.source });
       this.#showWindow(window && this.source);
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
@@ -155,7 +155,8 @@ export class SweepForm {
     this.edited.clear();
     this.source = spec;
     this.#fill(spec);
-    this.button.focus();
+    if (document.activeElement === this.pasted.text) this.button.scrollIntoView({ block: "nearest" }); // somebody types on
+    else this.button.focus();
   }
 
   #onEdit = ({ target }) => {
@@ -175,6 +176,7 @@ export class SweepForm {
   #onChange() {
     this.plan.clear();
     this.snippets.show(this.#read());
+    this.button.disabled = !this.isLoaded; // what is submitted need not be estimated
     this.estimate();
   }
 
@@ -186,7 +188,6 @@ export class SweepForm {
       if (JSON.stringify(body) !== JSON.stringify(this.#read())) return; // edited meanwhile: it is estimated again
       showProblems(this.form, this.problem, null);
       this.cost.textContent = costText(cost);
-      this.button.disabled = false;
     } catch (error) {
       this.#showError(error);
     }
@@ -214,7 +215,8 @@ export class SweepForm {
       this.#showError(error);
       this.form.querySelector("[aria-invalid=true]")?.focus();
     } finally {
-      if (this.form.querySelector("[aria-invalid=true]") === null) this.button.disabled = false;
+      this.button.disabled = Boolean(this.form.querySelector("[aria-invalid=true]"));
+      if (document.activeElement === document.body) this.button.focus(); // which a disabled button loses
     }
   }
 }

@@ -67,6 +67,7 @@ export function downloads(files, note) {
     status.textContent = "";
     const address = URL.createObjectURL(await make());
     h("a", { href: address, download: name() }).click();
+    announce(`${name()} is downloaded.`);
     setTimeout(() => URL.revokeObjectURL(address), 60_000);
   }, failed, { className: "quiet", "aria-label": `Download ${label}` });
   return h("div", { className: "downloads", role: "group", "aria-label": "Downloads" },
@@ -91,6 +92,12 @@ export function keepFocus(root, change, otherwise = () => null) {
   if (!before || document.activeElement === before) return;
   const after = before.isConnected ? before : [...root.querySelectorAll(before.tagName)].find((element) => nameOf(element) === nameOf(before));
   (after ?? otherwise())?.focus({ preventScroll: true });
+}
+
+/** Put `children` into `root` where they differ from what it has: else a focus or selection in it stays. */
+export function renew(root, ...children) {
+  const made = h("div", {}, children);
+  if (made.innerHTML !== root.innerHTML) keepFocus(root, () => root.replaceChildren(...made.childNodes));
 }
 
 export const announce = (text) => { document.getElementById("status").textContent = text; };

@@ -44,7 +44,7 @@ export class TrajectoryPanel {
     this.readout = h("p", { className: "readout", role: "status" });
     [this.player, this.portraits] = [new Player(signal), new Portraits(signal)];
     root.replaceChildren(
-      h("div", { className: "facts" }, h("header", {}, this.title, this.about, this.explore), this.note, this.problem.element, this.readout, this.proof, this.files, this.values),
+      h("div", { className: "facts", role: "group", "aria-label": "The motion in words" }, h("header", {}, this.title, this.about, this.explore), this.note, this.problem.element, this.readout, this.proof, this.files, this.values),
       this.player.element, this.portraits.element,
       ...(onClose ? [button("×", onClose, { className: "quiet close", "aria-label": "Close", title: "Close" })] : []));
     root.classList.add("empty");

@@ -152,6 +152,7 @@ export class SweepList {
     const changePin = async () => {
       const action = job.pinned ? "unpin" : "pin";
       await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }).finally(() => this.refresh());
+      element.scrollIntoView({ block: "nearest" }); // with the focus, which follows the row
       announce(`${titleOf(job)} is ${action}ned.`);
     };
     const pin = workButton("", changePin, (error) => this.showError(error), { className: "quiet pin" });

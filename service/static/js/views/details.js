@@ -72,10 +72,10 @@ function failures(chunks) {
       h("pre", { tabindex: "0" }, traceback ?? "No traceback: the worker process died."))));
 }
 
-function selection({ model, reason, tolerance, table: rows }) {
+function selection({ model, reason, table: rows }) {
   return h("section", {},
     h("h2", {}, `Selected model: ${model}`),
-    h("p", {}, `${reason} (tolerance ${number(tolerance)} rad).`),
+    h("p", {}, `${reason}.`),
     table("Comparison of the models", ["model", "µs per cell per plate period", "median (rad)", "95 % (rad)", "cells"],
       rows.map((row) => [row.model, ...[row.cost, row.median, row.percentile_95, row.cells].map((value) => number(value, 3))])));
 }
@@ -112,8 +112,8 @@ function changedCells(job, audit) {
   if (!cells.length) return h("p", {}, "None of the cells computed again has changed.");
   return h("details", {},
     h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
-    h("ul", {}, cells.map(({ gamma, omega, xi, direction, stored, reference, undecided }) => h("li", {},
+    h("ul", {}, cells.map(({ gamma, omega, xi, direction, stored, reference, undecided, set }) => h("li", {},
       h("a", { href: link(["job", job.id, "diagram"], { cell: [gamma, omega, xi, direction].join(",") }) },
         `Γ = ${axisText(gamma, grid.gamma)}, Ω = ${axisText(omega, grid.omega)}, ξ = ${axisText(xi, grid.xi)}`),
-      `: ${stored}, by the reference ${reference}${undecided ? " (undecided)" : ""}`))));
+      `: ${stored}, by the reference ${reference}${undecided ? " (undecided)" : ""}${set === "besides" ? "; a hard cell, not counted above" : ""}`))));
 }

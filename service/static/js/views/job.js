@@ -2,7 +2,7 @@
 
 import { addressValue, cellIn, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { requestJson, shared } from "../lib/api.js";
-import { announce, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, h, problemLine, renew, workButton } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
@@ -105,7 +105,7 @@ export class JobView {
     const { job } = this;
     document.title = `${titleOf(job)} · Bouncing spring`;
     this.summary.show(job);
-    this.settling.replaceChildren(...(shared ? [shared.note].filter(Boolean) : settling(job)));
+    renew(this.settling, shared ? shared.note : settling(job));
     this.problem.show(job.error ? new Error(`The sweep failed: ${job.error}`) : null);
   }
 
@@ -161,7 +161,7 @@ export class JobView {
     if (shared) return; // nothing computes its motion
     setQuery(cellQuery(cell));
     this.#showSelectedCell();
-    if (matchMedia("(max-width: 60rem)").matches) this.trajectorySection.scrollIntoView({ behavior: "smooth", block: "nearest" }); // below the plot
+    if (matchMedia("(max-width: 60rem)").matches) this.trajectorySection.scrollIntoView({ behavior: matchMedia("(prefers-reduced-motion: reduce)").matches ? "instant" : "smooth", block: "nearest" }); // below the plot
   }
 
   #showSelectedCell() {

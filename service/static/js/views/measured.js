@@ -34,10 +34,10 @@ export class MeasuredPoints {
     Object.assign(this, { view, value, key: `${view.job.id} ${value}` });
     this.problem = problemLine();
     this.text = h("span", {});
-    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#keep(null), { className: "link" }));
+    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#remove(), { className: "link" }));
     const take = ({ target }) => target.files.length && this.take(target.files[0]);
     const about = `A CSV file whose columns are some of ${COLUMNS.join(", ")}, dropped on the page or chosen here: `;
-    const choose = h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onchange: take }));
+    const choose = h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onclick: ({ target }) => { target.value = ""; }, onchange: take })); // the same file too, edited
     this.elements = [this.problem.element, this.line, h("details", { className: "paged" }, h("summary", {}, "Measured points"), choose)];
     const file = SHARED_FILES.find((shared) => shared.value === value);
     if (file && !kept.has(this.key)) this.take({ ...file, text: () => file.text });
@@ -51,6 +51,12 @@ export class MeasuredPoints {
     } catch (error) {
       this.problem.show(new Error(`${file.name}: ${error.message}.`));
     }
+  }
+
+  #remove() {
+    this.#keep(null);
+    this.elements.at(-1).firstChild.focus(); // the button pressed is hidden
+    announce("The measured points are removed.");
   }
 
   #keep(table) {

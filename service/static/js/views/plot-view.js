@@ -146,7 +146,7 @@ export class PlotView {
       this.readout, actions(copyButton("what is read", () => this.lastReadout ?? this.hint), this.logButtons, this.unzoom, compute), this.#downloads(),
       ...shown, this.measured?.elements, ...below, this.events?.element, this.table.element,
     ];
-    root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", {}, column));
+    root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", { "aria-label": `Beside: ${label}` }, column));
     this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? { cursor: (ctx, box) => this.drawCursor(ctx, box), ...this.content() } : null) });
     this.plot.element.addEventListener("drawn", () => { this.lacking.textContent = this.#lacking(); });
     listenToInput(this.plot, {

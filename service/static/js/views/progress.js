@@ -2,7 +2,7 @@
 
 import { link } from "../lib/address.js";
 import { deleteJob, requestJson } from "../lib/api.js";
-import { announce, h, keepFocus, workButton } from "../lib/dom.js";
+import { announce, h, keepFocus, renew, workButton } from "../lib/dom.js";
 import { count, duration, number, plural } from "../lib/format.js";
 import { AXES, SYMBOL, axisText, axisValues } from "../lib/physics.js";
 
@@ -37,13 +37,13 @@ export class JobSummary {
   show(job) {
     const { state, progress, compiling } = job;
     this.name.textContent = this.name.title = titleOf(job);
-    if (!this.about.hasChildNodes() || job.choice) this.about.replaceChildren(...summary(job));
+    if (!this.about.hasChildNodes() || job.choice) renew(this.about, summary(job));
     this.state.textContent = state;
     this.progress.dataset.state = state;
     this.bar.value = progress.percent;
     this.bar.setAttribute("aria-label", `Progress of ${titleOf(job)}`);
     this.amount.textContent = this.amount.title = compiling ? `compiling ${compiling.kernel}, ${duration(compiling.seconds)} of about ${duration(compiling.usual)}` : amount(job);
-    this.notice.replaceChildren(...(job.notice ? notice(job) : []), ...(job.budget ? level(job) : []));
+    renew(this.notice, job.notice ? notice(job) : [], job.budget ? level(job) : []);
     showActions(this.actions, job, this.on);
   }
 }
