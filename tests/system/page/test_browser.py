@@ -172,6 +172,15 @@ def test_a_broken_rule_is_shown_at_its_field(browser: Any, address: str):
         assert page.locator("[aria-invalid=true]").count() == 0
 
 
+def test_a_study_is_submitted_before_its_cost_is_known(browser: Any, address: str):
+    with opened(browser, address) as page:
+        page.route("**/v1/jobs?validate_only=true", lambda route: None)  # it is not answered
+        page.goto(f"{address}/#/new?gamma=0.1&omega=0.5&xi=0.26")
+        page.locator("[data-field=name]").fill("Not estimated")
+        page.get_by_role("button", name="Compute", exact=True).press("Enter")
+        page.locator("#bar h1", has_text="Not estimated").wait_for()
+
+
 def test_the_form_compares_what_a_time_buys_and_takes_a_setting(browser: Any, address: str):
     with opened(browser, f"{address}/#/new?figure=2") as page:
         page.get_by_label("number of values").first.fill("120")
@@ -203,8 +212,9 @@ def test_the_page_shows_the_finest_level_within_a_time(browser: Any, address: st
             page.locator(f"[data-field='{name}']").fill(str(value))
         full = {"status": 429, "json": {"detail": "the queue is full"}}
         page.route(re.compile(r"/v1/jobs\?$"), lambda route: route.fulfill(**full))
-        page.get_by_role("button", name="Compute", exact=True).click()
+        page.get_by_role("button", name="Compute", exact=True).press("Enter")
         page.locator(".problem", has_text="the queue is full").wait_for()
+        page.locator("button.button:focus", has_text="Compute").wait_for()
         page.get_by_text("Plan for a given time").click()
         page.get_by_label("Time", exact=True).fill("0.000001s")
         page.get_by_role("button", name="Compute within this time").click()
@@ -298,6 +308,15 @@ def test_a_kind_of_study_begins_with_what_the_kind_before_lacked(browser: Any, a
         page.locator("[data-field='gamma.num']").wait_for()
 
 
+def test_another_kind_of_study_keeps_the_spring_that_was_explored(browser: Any, address: str):
+    with opened(browser, f"{address}/#/new?omega=0.6&xi=0.05") as page:
+        page.locator(".cost", has_text="cells in").wait_for()
+        page.get_by_label("Study").select_option("ramp")
+        spring = {"omega": "0.6", "xi": "0.05", "model.kind": "rigid"}
+        for field, value in spring.items():
+            assert page.locator(f"[data-field='{field}']").input_value() == value
+
+
 def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
     orbits = {"name": "dropped", "protocol": {"kind": "orbits"}, "omega": [0.61], "xi": 0.05, "points": 20}
     with opened(browser, address, expected=("400", "422")) as page:
@@ -308,6 +327,9 @@ def test_any_study_is_pasted_or_dropped_as_a_file(browser: Any, address: str):
         assert refusal.bounding_box()["y"] < page.viewport_size["height"]
         page.get_by_label("Specification as JSON").fill(json.dumps(orbits | {"points": "many"}))
         page.locator(".problem", has_text="points").wait_for()
+        page.get_by_label("Specification as JSON").fill(json.dumps(orbits | {"omega": [0.61, 0.62]}))
+        page.locator(".cost", has_text="2 cells in").wait_for()
+        assert page.evaluate("document.activeElement.tagName") == "TEXTAREA"  # who types may go on
         page.evaluate(DROP, ["spec.json", json.dumps(orbits)])
         page.locator(".cost", has_text="1 cell in").wait_for()
         page.get_by_role("button", name="Compute").click()
@@ -358,6 +380,7 @@ def test_a_sweep_is_cancelled_resumed_and_deleted_from_the_list(browser: Any, ad
         row = page.locator(".jobs li").filter(has_text="Endless")
         row.get_by_role("button", name="Cancel").click()
         row.locator("[data-state=cancelled]").wait_for()
+        assert page.locator("#status").inner_text() == "Endless: cancel requested."
         row.get_by_role("button", name="Resume").click()
         row.get_by_role("button", name="Cancel").click()
         row.locator("[data-state=cancelled]").wait_for()
@@ -957,6 +980,7 @@ def test_what_a_plot_shows_is_text_and_a_table(showing: Any):
         )
         described = page.locator(f"#{plot.get_attribute('aria-describedby')}").inner_text()
         assert "plate acceleration over gravity Γ from 0.295 to 1.405. flight time φ (rad) from" in described
+        page.get_by_role("complementary", name="Bifurcation diagram").wait_for()  # a stop of Firefox
         page.get_by_text("Table of what is shown").click()
         rows, status = page.locator(".paged tbody tr"), page.locator(".paged [role=status]").first
         wait_for(lambda: rows.count() == 25)
@@ -1193,7 +1217,11 @@ def test_a_sweep_says_how_many_cells_were_settling(browser: Any, address: str):
     with opened(browser, view(address, job, "modes")) as page:
         page.locator(".notice", has_text="still settling after 80 plate periods").wait_for()
         page.locator(".legend", has_text="still settling").wait_for()
-        page.get_by_role("link", name="give more time").click()
+        shown = page.get_by_role("link", name="give more time").element_handle()
+        with Client(address) as client:
+            client.job(job).rename("Shorter")
+        page.locator("#bar h1", has_text="Shorter").wait_for()
+        shown.click()  # it is not drawn anew while the sweep changes
         page.locator("[data-field='settle']:focus").wait_for()
 
 

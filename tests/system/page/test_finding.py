@@ -124,9 +124,19 @@ def test_of_many_pinned_sweeps_all_are_in_the_pages(browser: Any, tmp_path: Path
         page.get_by_text("11 sweeps found").wait_for()
 
 
+IN_SIGHT = """pressed => {
+    const { top, bottom } = document.activeElement.getBoundingClientRect();
+    return document.activeElement.ariaPressed === pressed && top >= 0 && bottom <= innerHeight;
+}"""
+
+
 def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
     with opened(browser, many) as page:
         page.get_by_text("1 to 25 of 30").wait_for()
+        pin = page.get_by_role("button", name="Pin number 06")
+        for pressed in ("true", "false"):  # the row moves up and back; the focus stays in sight
+            pin.press("Enter")
+            page.wait_for_function(IN_SIGHT, arg=pressed)
         page.get_by_role("button", name="Next page").click()
         page.get_by_text("26 to 30 of 30").wait_for()
         _wait_names(page, *(f"number {n:02}" for n in (4, 3, 2, 1, 0)))
@@ -243,6 +253,15 @@ def test_a_sweep_is_audited_from_its_details(browser: Any, address: str, jobs: l
     with opened(browser, f"{shared}#/job/{jobs[0]}/details", offline=True, viewport=size) as page:
         page.get_by_role("row", name="Note").get_by_text(sentence).wait_for()
         assert page.locator(".settling", has_text=sentence).bounding_box()["height"] < 30  # in one line
+
+
+def test_a_cell_that_an_audit_changes_is_shown_at_its_frequency(browser: Any, address: str):
+    job = done(address, spec_of((2.0, 6.0, 40), [0.5, 1.0], 0.05, window=(3, 6, 8), name="Too short"))
+    with opened(browser, f"{address}/#/job/{job}/details") as page:
+        page.get_by_role("button", name="Audit this sweep").click()
+        page.locator("summary", has_text="that changed").click()
+        page.locator("li a", has_text="Ω = 0.5,").first.click()
+        wait_shown(page, omega=0.5)
 
 
 def _as_python(text: str) -> Any:

@@ -63,8 +63,16 @@ def test_measured_flights_are_drawn_with_their_residual(browser: Any, address: s
         shared = download(page.get_by_role("button", name="Download a page to share"))
         shared = shared.rename(tmp_path / shared.name)  # closed with the page, it is gone
         open_tab(page, "Diagram")  # the page keeps them
-        said.get_by_role("button", name="remove").click()
+        assert page.locator("#status").inner_text().endswith("is downloaded.")
+        said.get_by_role("button", name="remove").press("Enter")
         said.wait_for(state="hidden")
+        with page.expect_file_chooser() as chosen:  # from where the focus went; the same file, edited
+            page.locator("summary:focus").press("Enter")
+            page.keyboard.press("Tab")
+            page.keyboard.press("Enter")
+        (tmp_path / "run.csv").write_text("gamma,flight_time\n1,4\n")
+        chosen.value.set_files(tmp_path / "run.csv")
+        page.locator(".measured", has_text="run.csv: 1 of 1 point").wait_for()
     with opened(browser, f"{shared.as_uri()}", offline=True) as page:
         page.locator(".measured", has_text=f"run.csv: {len(rows)} of {len(rows) + 1} points").wait_for()
         open_tab(page, "Thresholds")

@@ -38,10 +38,7 @@ export class SweepForm {
     this.#load();
   }
 
-  refresh() {
-    if (this.isLoaded) this.#onChange();
-    else this.#load();
-  }
+  refresh = () => (this.isLoaded ? this.estimate() : this.#load());
 
   #build() {
     const figures = this.presets.map(({ title, sweeps }) => h("optgroup", { label: title }, sweeps.map(({ key, text }) => h("option", { value: key }, text))));
@@ -155,8 +152,7 @@ export class SweepForm {
     this.edited.clear();
     this.source = spec;
     this.#fill(spec);
-    if (document.activeElement === this.pasted.text) this.button.scrollIntoView({ block: "nearest" }); // somebody types on
-    else this.button.focus();
+    if (document.activeElement !== this.pasted.text) this.button.focus(); // there somebody may type on
   }
 
   #onEdit = ({ target }) => {
@@ -188,6 +184,7 @@ export class SweepForm {
       if (JSON.stringify(body) !== JSON.stringify(this.#read())) return; // edited meanwhile: it is estimated again
       showProblems(this.form, this.problem, null);
       this.cost.textContent = costText(cost);
+      this.button.disabled = false;
     } catch (error) {
       this.#showError(error);
     }

@@ -102,14 +102,17 @@ export function renew(root, ...children) {
 
 export const announce = (text) => { document.getElementById("status").textContent = text; };
 
-/** `work`, called only after `milliseconds` without another call. */
-export function debounced(milliseconds, work) {
+/** `work`, called `milliseconds` after the last call, with what that had besides. */
+export function delayed(work) {
   let timer;
-  return () => {
+  return (milliseconds, ...given) => {
     clearTimeout(timer);
-    timer = setTimeout(work, milliseconds);
+    timer = setTimeout(work, milliseconds, ...given);
   };
 }
+
+/** `work`, called only after `milliseconds` without another call. */
+export const debounced = (milliseconds, work) => delayed(work).bind(null, milliseconds);
 
 const ABORT_AFTER_MS = 150;
 

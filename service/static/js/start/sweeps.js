@@ -2,7 +2,7 @@
 
 import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { deleteJob, query, requestJson } from "../lib/api.js";
-import { announce, button, checkBox, choice, debounced, h, problemLine, workButton } from "../lib/dom.js";
+import { announce, button, checkBox, choice, debounced, delayed, h, problemLine, renew, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
 import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
 
@@ -67,7 +67,6 @@ export class SweepList {
   }
 
   async refresh() {
-    clearTimeout(this.timer);
     const wanted = this.#wanted();
     const asked = JSON.stringify([wanted, this.cursors]);
     const request = (page) => requestJson(`/v1/jobs?${query({ ...wanted, ...page })}`, { signal: this.signal });
@@ -84,7 +83,7 @@ export class SweepList {
       const above = this.cursors.length === 1 ? pinned.jobs : [];
       this.#showJobs([...new Map([...above, ...others.jobs].map((job) => [job.id, job])).values()]);
       this.#showRange(pinned, others);
-      setText(this.notice, others.notice ?? "");
+      renew(this.notice, others.notice ?? "");
       this.#refreshAfter([...pinned.jobs, ...others.jobs].some((job) => UNFINISHED.has(job.state)) ? POLL_MS : IDLE_POLL_MS);
     } catch (error) {
       this.showError(error);
@@ -98,10 +97,7 @@ export class SweepList {
     this.errorTimer = setTimeout(() => this.problem.show(null), ERROR_MS);
   }
 
-  #refreshAfter(milliseconds) {
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.refresh(), milliseconds);
-  }
+  #refreshAfter = delayed(() => this.refresh());
 
   /** The parameters of a request for jobs, except which page. */
   #wanted() {
@@ -125,7 +121,7 @@ export class SweepList {
     this.next.hidden = others.next === null;
     const pinnedText = pinned.total ? `, with ${count(pinned.total)} pinned` : "";
     const range = `${count(before + 1)} to ${count(before + others.jobs.length)} of ${count(others.total)}${pinnedText}`;
-    setText(this.range, before || others.next ? range : foundText);
+    renew(this.range, before || others.next ? range : foundText);
     this.intro.hidden = others.total > 0 || isFiltered;
     this.filters.hidden = !others.total && !isFiltered;
     this.selection.hidden = !others.total;
@@ -159,7 +155,7 @@ export class SweepList {
     const name = h("a", {});
     const time = h("span", { className: "note" });
     const error = h("p", { className: "problem" });
-    const summary = new JobSummary(name, { change: (changed) => { announce(`${titleOf(changed)}: ${changed.state}.`); this.refresh(); }, delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
+    const summary = new JobSummary(name, { change: () => this.refresh(), delete: () => this.#turn(this.cursors), error: (failure) => this.showError(failure) });
     const element = h("li", {}, h("div", { className: "choice" }, box, pin), h("div", { className: "about" }, h("h2", {}, name), summary.about),
       summary.progress, time, summary.actions, summary.notice, error);
     const update = (current) => {
@@ -189,7 +185,7 @@ export class SweepList {
     this.all.indeterminate = selected.length > 0 && !this.all.checked;
     const areTooMany = selected.length > MOST_COMPARED;
     const limit = areTooMany ? `; at most ${MOST_COMPARED} can be compared` : "";
-    setText(this.chosen, selected.length ? `${count(selected.length)} selected${limit}` : "");
+    renew(this.chosen, selected.length ? `${count(selected.length)} selected${limit}` : "");
     this.bulk.hidden = !selected.length;
     this.compare.disabled = selected.length < 2 || areTooMany;
     this.remove.disabled = selected.every((job) => UNFINISHED.has(job.state));
@@ -218,6 +214,3 @@ const introduction = () => h("section", { className: "intro", hidden: true },
     h("i", {}, "Γ"), ", its frequency ", h("i", {}, "Ω"), " and the damping ", h("i", {}, "ξ"), "."),
   h("p", {}, h("a", { className: "button", href: link(["new"]) }, "New study"), " computes sweeps of these parameters, from the paper’s figures or your own."),
   h("p", {}, h("a", { className: "button", href: link(["explore"]) }, "Explore"), " shows one spring move, its cycles and thresholds, without computing a sweep."));
-
-/** Change a text that is announced, only where it differs. */
-const setText = (element, text) => element.textContent === text || Object.assign(element, { textContent: text });

@@ -1,6 +1,6 @@
 // A sweep's origin, specification, failed chunks, the model that `auto` selected, its audit, and access from elsewhere.
 
-import { link } from "../lib/address.js";
+import { cellQuery, link } from "../lib/address.js";
 import { SERVICE, partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
 import { announce, downloads, h, keepFocus, problemLine, workButton } from "../lib/dom.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
@@ -113,7 +113,7 @@ function changedCells(job, audit) {
   return h("details", {},
     h("summary", {}, `${plural(cells.length, "cell")} that changed, or that the reference does not decide`),
     h("ul", {}, cells.map(({ gamma, omega, xi, direction, stored, reference, undecided, set }) => h("li", {},
-      h("a", { href: link(["job", job.id, "diagram"], { cell: [gamma, omega, xi, direction].join(",") }) },
+      h("a", { href: link(["job", job.id, "diagram"], cellQuery({ gamma, omega, xi, direction })) },
         `Γ = ${axisText(gamma, grid.gamma)}, Ω = ${axisText(omega, grid.omega)}, ξ = ${axisText(xi, grid.xi)}`),
       `: ${stored}, by the reference ${reference}${undecided ? " (undecided)" : ""}${set === "besides" ? "; a hard cell, not counted above" : ""}`))));
 }

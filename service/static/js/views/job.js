@@ -2,7 +2,7 @@
 
 import { addressValue, cellIn, cellQuery, currentAddress, currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { requestJson, shared } from "../lib/api.js";
-import { announce, h, problemLine, renew, workButton } from "../lib/dom.js";
+import { announce, delayed, h, problemLine, renew, workButton } from "../lib/dom.js";
 import { AXES, isSweep, nearestIndex } from "../lib/physics.js";
 import { TrajectoryPanel } from "../motion/panel.js";
 import { Basin } from "./basin.js";
@@ -36,7 +36,9 @@ export class JobView {
     this.tabs = h("nav", { className: "tabs", "aria-label": "Views of the sweep" });
     const ask = async () => {
       const name = prompt("Name of the sweep", this.job.name);
-      if (name !== null) this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
+      if (name === null) return;
+      this.#onChange(await requestJson(`/v1/jobs/${this.id}/rename`, { method: "POST", body: { name } }));
+      announce("The sweep is renamed.");
     };
     const rename = workButton("✎", ask, this.problem.show, { className: "quiet", "aria-label": "Rename", title: "Rename", "data-service": true });
     const { progress, actions, about, notice } = this.summary;
@@ -55,7 +57,6 @@ export class JobView {
 
   /** Again each second or so; without `redraw`, what is drawn stays unless cells were computed. */
   async refresh(redraw = true) {
-    clearTimeout(this.timer);
     const job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal }).catch((error) => this.#pollFailed(error, redraw));
     if (!job || this.signal.aborted) return;
     if (!this.panel.isConnected) return location.reload(); // "No such sweep" took its place, and there is one again
@@ -82,10 +83,7 @@ export class JobView {
     return follows;
   }
 
-  #pollAfter(milliseconds, redraw = false) {
-    clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.refresh(redraw), milliseconds);
-  }
+  #pollAfter = delayed((redraw = false) => this.refresh(redraw));
 
   /** An error of the service may be temporary; when the service is unreachable, main.js calls refresh() once it is back. */
   #pollFailed(error, redraw) {
@@ -114,7 +112,6 @@ export class JobView {
     if (job.id !== this.id) return navigate(["job", job.id]); // of another kernel version: resumed, it starts anew as another
     this.job.name = job.name; // the rest follows when it is polled
     this.#describe();
-    announce(`${titleOf(job)}: ${job.state}.`);
     this.#pollAfter(0);
   }
 

@@ -34,7 +34,7 @@ export class MeasuredPoints {
     Object.assign(this, { view, value, key: `${view.job.id} ${value}` });
     this.problem = problemLine();
     this.text = h("span", {});
-    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#remove(), { className: "link" }));
+    this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#keep(null), { className: "link" }));
     const take = ({ target }) => target.files.length && this.take(target.files[0]);
     const about = `A CSV file whose columns are some of ${COLUMNS.join(", ")}, dropped on the page or chosen here: `;
     const choose = h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onclick: ({ target }) => { target.value = ""; }, onchange: take })); // the same file too, edited
@@ -47,22 +47,17 @@ export class MeasuredPoints {
     try {
       const text = await file.text();
       this.#keep({ name: file.name, text, value: this.value, rows: tableOf(text, this.view.along, this.value) });
-      announce(this.text.textContent);
     } catch (error) {
       this.problem.show(new Error(`${file.name}: ${error.message}.`));
     }
-  }
-
-  #remove() {
-    this.#keep(null);
-    this.elements.at(-1).firstChild.focus(); // the button pressed is hidden
-    announce("The measured points are removed.");
   }
 
   #keep(table) {
     kept[table ? "set" : "delete"](this.key, table);
     this.problem.show(null);
     if (this.view.isLoaded) this.view.draw();
+    announce(table ? this.text.textContent : "The measured points are removed.");
+    if (!table) this.elements.at(-1).firstChild.focus(); // the button pressed is hidden
   }
 
   /** The points {x, y, error} over the axis of the view, without rows of other values than its fixed ones. */

@@ -212,9 +212,7 @@ export class PlotView {
   }
 
   /** Of a running job each second: what is loading is shown first, however long it takes. */
-  update() {
-    this.load(true);
-  }
+  update = () => this.load(true);
 
   showLegend() {
     this.legend?.show(this.classes);

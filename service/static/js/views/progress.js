@@ -121,8 +121,9 @@ function showActions(root, job, on) {
   if (root.dataset.actions === shown) return;
   root.dataset.actions = shown;
   const run = async (action) => {
+    if (action === "delete" && !confirm(`Delete “${titleOf(job)}” and its results?`)) return;
+    announce(`${titleOf(job)}: ${action} requested.`); // running chunks may still end
     if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
-    if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
     await deleteJob(job);
     announce(`${titleOf(job)} is deleted.`);
     on.delete();

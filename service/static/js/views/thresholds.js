@@ -20,7 +20,7 @@ const UNDECIDED = ["unresolved", "diverged", "settling"]; // statuses of a cell 
 export class Thresholds extends PlotView {
   name = "threshold";
   along = "omega";
-  awaited = () => (this.overlay && !this.requested.includes("predict=none") ? "what the closed form predicts" : "");
+  awaited = () => (this.overlay && !this.requested.includes("predict=none") ? "predictions" : "");
   folds = () => this.overlay?.at({ xi: this.xi });
   marks = () => [this.edges.length && "thresholds beyond the grid", this.isUndecided && "undecided ones"];
 
