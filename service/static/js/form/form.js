@@ -213,7 +213,7 @@ export class SweepForm {
       this.form.querySelector("[aria-invalid=true]")?.focus();
     } finally {
       this.button.disabled = Boolean(this.form.querySelector("[aria-invalid=true]"));
-      if (document.activeElement === document.body) this.button.focus(); // which a disabled button loses
+      if (!parameters.budget && document.activeElement === document.body) this.button.focus(); // which a disabled button loses
     }
   }
 }
