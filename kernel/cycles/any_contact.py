@@ -7,6 +7,7 @@ hops that never do, whose cycle of one flight has a closed form too.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import islice, pairwise, takewhile
 from typing import Any, Final
 
@@ -14,7 +15,20 @@ import numpy as np
 
 from kernel.cycles.cycles import Point, admissible, cycle_from, state_after
 from kernel.cycles.events import CROSSINGS, Branch, Events, Kind, branch, events_of, join_events
-from kernel.cycles.follow import POINTS, RANGE, ROUNDING, End, Event, Followed, ahead, follow, root, within
+from kernel.cycles.follow import (
+    POINTS,
+    RANGE,
+    ROUNDING,
+    End,
+    Event,
+    Followed,
+    ahead,
+    crossing,
+    follow,
+    happens,
+    root,
+    within,
+)
 from kernel.cycles.roots import Floats
 from kernel.cycles.segments import START
 from kernel.cycles.starts import (
@@ -178,14 +192,41 @@ def up_to_shorter(line: Followed) -> Followed:
     It ends with the flip of that cycle, beyond which its halves change places, or where one of them grazes.
     """
     own = list(takewhile(lambda point: not repeats(point), line.points)) or line.points
-    for k, event in enumerate(line.events):
-        if event.after >= len(own):
-            return Followed(own, line.events[:k])
+    swap = next((k for k, (a, b) in enumerate(pairwise(own), 1) if _halves_swap(a, b)), len(own))
+    points, events = own[:swap], [event for event in line.events if event.after < swap]
+    for k, event in enumerate(events):
         if event.turns and event.point is not line.points[0] and is_doubled(event.point):
             kind = Kind.FLIP if event.kind is Kind.FOLD else event.kind  # seen from the shorter cycle
             last = Event(kind, event.point, after=event.after)
-            return Followed([*line.points[: event.after + 1], event.point], [*line.events[:k], last])
-    return Followed(own, line.events)
+            return Followed([*points[: event.after + 1], event.point], [*events[:k], last])
+    if swap < len(own) and (flip := _flip_between(*own[swap - 1 : swap + 1])) is not None:
+        return Followed([*points, flip], [*events, Event(Kind.FLIP, flip, after=swap - 1)])
+    return Followed(points, events)
+
+
+def _halves_swap(a: Point, b: Point) -> bool:
+    """Whether the halves of a cycle of twice the period change places between neighbours on its branch."""
+    n = len(a.letters) // 2
+    if a.cycles.periods % 2 or a.letters != b.letters or a.letters != 2 * a.letters[:n]:
+        return False
+    return float((a.times[:n] - a.times[n:]) @ (b.times[:n] - b.times[n:])) < 0.0
+
+
+def _flip_between(a: Point, b: Point) -> Point | None:
+    """The flip of the shorter cycle at which the halves of a and b change places, gone through twice.
+
+    Newton's method may end on the shorter cycle there, so that the turn of the branch is not located.
+    """
+    n = len(a.letters) // 2
+    cycles, x = a.cycles.with_segments(a.letters[:n], a.x, 0.5 * (a.times[:n] + a.times[n:]))
+    node = cycles._replace(periods=cycles.periods // 2).at(x, a.parameter)
+    reach = float(np.linalg.norm(b.x - a.x))
+    for way in () if node is None else (node, node.back()):
+        flip = root(way, reach, partial(crossing, Kind.FLIP))
+        if flip is not None and happens(Kind.FLIP, flip):
+            cycles, x = flip.cycles.with_segments(a.letters, flip.x, np.tile(flip.times, 2))
+            return cycles._replace(periods=a.cycles.periods).on_branch(x)
+    return None
 
 
 def is_doubled(point: Point) -> bool:

@@ -237,6 +237,14 @@ def test_a_doubled_branch_ends_beside_its_last_flip(plate, omega, xi):
     assert cuts > 0
 
 
+def test_a_doubled_branch_ends_where_newton_leads_to_the_shorter_cycle():
+    """A (6,8) branch between two flips of (3,4), the turn at one of which is not located."""
+    line = both_ways(attracting(rigid(0.0), Cell(3.29, 0.5, 0.26)), RANGE, 250)
+    assert line.points[-1].parameter == pytest.approx(3.7129905954, abs=1e-9)
+    assert np.diff(gammas(line, FLIP)).min() > 1e-9
+    assert repeats(line.points[-1])
+
+
 def test_a_branch_ends_where_a_graze_makes_its_cycle_a_shorter_one():
     """A (3,2) cycle whose halves become equal as one of them grazes; beyond is (1,1), gone through twice."""
     plate, cell = rigid(0.351), Cell(4.885425052692753, 0.9973321908882944, 0.16337752119602011)
