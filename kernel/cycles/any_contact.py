@@ -128,8 +128,8 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
 
 def cut_off(lines: list[Followed]) -> list[Event]:
     """Where branches are cut off, and no other one goes on."""
-    ends = (event for line in lines for event in line.events if event.kind is End.CUT_OFF)
-    return [end for end in ends if sum(lies_on(end.point, line) for line in lines) < 2]
+    ends = ((event, line) for line in lines for event in line.events if event.kind is End.CUT_OFF)
+    return [end for end, own in ends if not any(lies_on(end.point, x) for x in lines if x is not own)]
 
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:
@@ -192,15 +192,16 @@ def up_to_shorter(line: Followed) -> Followed:
     It ends with the flip of that cycle, beyond which its halves change places, or where one of them grazes.
     """
     own = list(takewhile(lambda point: not repeats(point), line.points)) or line.points
-    swap = next((k for k, (a, b) in enumerate(pairwise(own), 1) if _halves_swap(a, b)), len(own))
-    points, events = own[:swap], [event for event in line.events if event.after < swap]
-    for k, event in enumerate(events):
+    swaps = ((k, _flip_between(a, b)) for k, (a, b) in enumerate(pairwise(own)) if _halves_swap(a, b))
+    k, flip = next((swap for swap in swaps if swap[1] is not None), (len(own) - 1, None))
+    points, events = own[: k + 1], [event for event in line.events if event.after <= k]
+    for i, event in enumerate(events):
         if event.turns and event.point is not line.points[0] and is_doubled(event.point):
             kind = Kind.FLIP if event.kind is Kind.FOLD else event.kind  # seen from the shorter cycle
             last = Event(kind, event.point, after=event.after)
-            return Followed([*points[: event.after + 1], event.point], [*events[:k], last])
-    if swap < len(own) and (flip := _flip_between(*own[swap - 1 : swap + 1])) is not None:
-        return Followed([*points, flip], [*events, Event(Kind.FLIP, flip, after=swap - 1)])
+            return Followed([*points[: event.after + 1], event.point], [*events[:i], last])
+    if flip is not None:
+        return Followed([*points, flip], [*events, Event(Kind.FLIP, flip, after=k)])
     return Followed(points, events)
 
 
@@ -220,13 +221,15 @@ def _flip_between(a: Point, b: Point) -> Point | None:
     n = len(a.letters) // 2
     cycles, x = a.cycles.with_segments(a.letters[:n], a.x, 0.5 * (a.times[:n] + a.times[n:]))
     node = cycles._replace(periods=cycles.periods // 2).at(x, a.parameter)
-    reach = float(np.linalg.norm(b.x - a.x))
-    for way in () if node is None else (node, node.back()):
-        flip = root(way, reach, partial(crossing, Kind.FLIP))
-        if flip is not None and happens(Kind.FLIP, flip):
-            cycles, x = flip.cycles.with_segments(a.letters, flip.x, np.tile(flip.times, 2))
-            return cycles._replace(periods=a.cycles.periods).on_branch(x)
-    return None
+    if node is None:
+        return None
+    reach, test = float(np.linalg.norm(b.x - a.x)), partial(crossing, Kind.FLIP)
+    flips = filter(None, (root(way, reach, test) for way in (node, node.back())))
+    flip = min(flips, key=lambda flip: float(np.linalg.norm(flip.x - node.x)), default=None)
+    if flip is None or np.linalg.norm(flip.x - node.x) > reach or not happens(Kind.FLIP, flip):
+        return None
+    cycles, x = flip.cycles.with_segments(a.letters, flip.x, np.tile(flip.times, 2))
+    return cycles._replace(periods=a.cycles.periods).on_branch(x)
 
 
 def is_doubled(point: Point) -> bool:

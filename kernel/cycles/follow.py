@@ -130,9 +130,8 @@ def follow(
         if end is None and stretch.broken is not None:
             after, change = _change(stretch, partial(_goes_back, line))
             if change is not None and after is not None:
-                to = _events_to(last, change.point, crossings)
-                fro = _events_to(after.back(), change.point, crossings)
-                events += [event._replace(after=len(line) - 1) for event in (*to, change, *fro)]
+                to, back = (_located_before(x, change.point, crossings) for x in (last, after.back()))
+                events += [event._replace(after=len(line) - 1) for event in (*to, change, *back[::-1])]
             end = _end_at(last, stretch.broken) if after is None else None
         closed = last is origin and len(line) > 1
         if end is None and len(line) >= points and not (leaves(last) or closed):
@@ -241,30 +240,31 @@ def _events_along(line: list[Point], before: int, kinds: Sequence[Kind]) -> Iter
     with np.errstate(over="ignore", invalid="ignore"):
         turned = (tests[:-1] * tests[1:] < 0.0) | (tests[:-1] == 0.0)
     turned &= np.isfinite(tests[:-1]) & np.isfinite(tests[1:])
-    for i, which in np.argwhere(turned):
-        point = line[i] if tests[i, which] == 0.0 else _located(kinds[which], line[i], line[i + 1])
-        if point is not None:
-            yield Event(kinds[which], point, turns=kinds[which] is Kind.FOLD, after=before + int(i))
+    for i in np.flatnonzero(turned.any(axis=1)).tolist():
+        which = [kind for kind, turns in zip(kinds, turned[i], strict=True) if turns]
+        yield from (event._replace(after=before + i) for event in _located(which, line[i], line[i + 1]))
 
 
-def _located(kind: Kind, a: Point, b: Point) -> Point | None:
-    """The event of a kind between two cycles between which its test changes sign, or None."""
-    test = partial(crossing, kind)
-    point = root(a, _reach(a, b), test)
-    around = min(abs(test(a)), abs(test(b)))
-    return point if point is not None and happens(kind, point, around) else None
+def _located(kinds: Sequence[Kind], a: Point, b: Point) -> list[Event]:
+    """The events between two cycles between which the tests of these kinds change sign, in order from a."""
+    events = []
+    for kind in kinds:
+        test = partial(crossing, kind)
+        around = min(abs(test(a)), abs(test(b)))
+        point = root(a, _reach(a, b), test) if test(a) != 0.0 else a
+        if point is not None and happens(kind, point, around):
+            events.append(Event(kind, point, turns=kind is Kind.FOLD))
+    return sorted(events, key=lambda event: _reach(a, event.point))
 
 
-def _events_to(point: Point, change: Point, kinds: Sequence[Kind]) -> Iterator[Event]:
-    """The crossings between a cycle and a change of segments ahead.
+def _located_before(point: Point, change: Point, kinds: Sequence[Kind]) -> list[Event]:
+    """The flips and Neimark-Sacker points between a cycle and a change of segments ahead, in order.
 
     Beside a graze multipliers move with the square root of the distance.
     """
-    for kind in kinds:
-        if kind is not Kind.FOLD and crossing(kind, point) * crossing(kind, change) < 0.0:
-            found = _located(kind, point, change)
-            if found is not None:
-                yield Event(kind, found)
+    others = (kind for kind in kinds if kind is not Kind.FOLD)
+    which = [kind for kind in others if crossing(kind, point) * crossing(kind, change) < 0.0]
+    return _located(which, point, change)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # multipliers of cycles of many hops
