@@ -64,7 +64,7 @@ def thresholds_of(plate: Any, omega: float, xi: float, cycles: Sequence[Point] =
         lowest = (point for line in lines for point in lowest_stable(line))
         ends += [descend(point) for point in lowest if point.parameter < gamma_th]
     answer = where_searched(lowest_end(answer, folds, ends))
-    at = ", ".join(f"{event.point.parameter:.4g}" for event in cut)
+    at = ", ".join(dict.fromkeys(f"{gamma:.4g}" for gamma in sorted(end.point.parameter for end in cut)))
     beyond = f"branches were cut off at Gamma = {at}: beyond, bouncing may reach lower" if cut else ""
     return answer._replace(reason="; ".join(filter(None, [answer.reason, beyond])))
 

@@ -172,9 +172,8 @@ class Transport:
         return outlast(send, away=0.0, busy=self._timeout, queues=waits, shown=True)
 
     def delete(self, path: str) -> None:
-        """DELETE `path`; not retried after a lost connection: a second request would find nothing."""
-        send = partial(self._request, "DELETE", path, delays=())
-        outlast(send, away=0.0, busy=self._timeout, shown=True)
+        """DELETE `path`; not retried, because a second request would find nothing."""
+        self._request("DELETE", path, delays=())
 
     def get_result(
         self,
@@ -267,7 +266,7 @@ class Transport:
             unknown = "self-signed" in reason or "issuer" in reason
             rule = "; SSL_CERT_FILE may name a file of the authorities that you trust" if unknown else ""
             return UnexpectedAnswer(f"the certificate of {self.url} is not trusted ({reason}){rule}")
-        if "WRONG_VERSION_NUMBER" in reason:
+        if "WRONG_VERSION_NUMBER" in reason or "RECORD_LAYER_FAILURE" in reason:
             return UnexpectedAnswer(f"{self.url} does not speak TLS: its address may begin with http://")
         if isinstance(error, (httpx2.ConnectError, httpx2.ConnectTimeout)):
             return ServiceUnreachable(self.url, reason)

@@ -89,8 +89,9 @@ class WebServer(uvicorn.Server):
         try:
             self._on_start(url)
             self.url.set_result(url)
-        except OSError as error:  # raised here, it would leave the application running
-            self.url.set_exception(NotStarted(f"standard output: {error.strerror}"))
+        except (OSError, UnicodeError) as error:  # raised here, it would leave the application running
+            reason = error.strerror if isinstance(error, OSError) else error
+            self.url.set_exception(NotStarted(f"standard output: {reason}"))
             self.should_exit = True
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:

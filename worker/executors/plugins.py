@@ -115,11 +115,11 @@ class WorkerAdmission(WorkerPlugin):
                 for name, expected in self._facts.items()
                 if own.get(name) != expected
             ]
-            if threads != 1:
-                wrong.append(f"it has {threads} threads: start it with --nthreads 1")
             # another release may lack what reads the stores
             if not wrong and self._stores is not None and (unseen := _unseen(*self._stores)):
                 wrong.append(unseen)
+            if threads != 1:
+                wrong.append(f"it has {threads} threads: start it with --nthreads 1")
             if not wrong:
                 from worker.kernel_cache import use_cache  # noqa: PLC0415 - see above
 

@@ -172,7 +172,7 @@ export class SweepForm {
   #onChange() {
     this.plan.clear();
     this.snippets.show(this.#read());
-    this.button.disabled = !this.isLoaded; // what is submitted need not be estimated
+    this.button.disabled = !this.isLoaded || this.isSubmitting; // what is submitted need not be estimated
     this.estimate();
   }
 
@@ -184,7 +184,7 @@ export class SweepForm {
       if (JSON.stringify(body) !== JSON.stringify(this.#read())) return; // edited meanwhile: it is estimated again
       showProblems(this.form, this.problem, null);
       this.cost.textContent = costText(cost);
-      this.button.disabled = false;
+      this.button.disabled = this.isSubmitting;
     } catch (error) {
       this.#showError(error);
     }
@@ -196,11 +196,11 @@ export class SweepForm {
     if (this.form) this.cost.textContent = error.name === "Unreachable" ? "The cost is estimated once the service answers again." : invalid;
     if (isHandledElsewhere(error)) return;
     showProblems(this.form ?? this.container, this.problem, error);
-    if (this.form) this.button.disabled = !this.isLoaded || [413, 422].includes(error.status); // it is refused
+    if (this.form) this.button.disabled = !this.isLoaded || this.isSubmitting || [413, 422].includes(error.status); // it is refused
   }
 
   async #submit(parameters = {}) {
-    this.button.disabled = true;
+    this.isSubmitting = this.button.disabled = true;
     try {
       const job = await requestJson(`/v1/jobs?${query(parameters)}`, { method: "POST", body: this.#read() });
       announce("Submitted.");
@@ -212,7 +212,8 @@ export class SweepForm {
       this.#showError(error);
       this.form.querySelector("[aria-invalid=true]")?.focus();
     } finally {
-      this.button.disabled = Boolean(this.form.querySelector("[aria-invalid=true]"));
+      this.isSubmitting = false;
+      this.button.disabled = !this.isLoaded || Boolean(this.form.querySelector("[aria-invalid=true]"));
       if (!parameters.budget && document.activeElement === document.body) this.button.focus(); // which a disabled button loses
     }
   }

@@ -30,8 +30,7 @@ const BUSY = "The service is busy with other requests. Waiting for its answer â€
 const waiting = new Map(); // by request, why it waits
 
 // The response to one request. A GET, or what `waits`, is repeated: while workers compute its answer (202), and until
-// `timeout` while the service is too busy (429, or a proxy's 503). Throws a problem (see problemOf), Unreachable, or an AbortError if
-// `signal` aborts.
+// `timeout` while the service is too busy (429, a proxy's 503). Throws a problem, Unreachable, or AbortError by `signal`.
 export const request = (path, { timeout = TIMEOUT_MS, waits, ...options } = {}) => answer(path, options, timeout, waits).finally(() => tell(options));
 
 async function answer(path, options, timeout, waits) {

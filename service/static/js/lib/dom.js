@@ -102,13 +102,15 @@ export function renew(root, ...children) {
 
 export const announce = (text) => { document.getElementById("status").textContent = text; };
 
-/** `work`, called `milliseconds` after the last call, with what that had besides. */
+/** `work`, called `milliseconds` after the last call, with what that had besides; or not, after `cancel`. */
 export function delayed(work) {
   let timer;
-  return (milliseconds, ...given) => {
-    clearTimeout(timer);
+  const after = (milliseconds, ...given) => {
+    after.cancel();
     timer = setTimeout(work, milliseconds, ...given);
   };
+  after.cancel = () => clearTimeout(timer);
+  return after;
 }
 
 /** `work`, called only after `milliseconds` without another call. */

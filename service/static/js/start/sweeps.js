@@ -67,6 +67,7 @@ export class SweepList {
   }
 
   async refresh() {
+    this.#refreshAfter.cancel();
     const wanted = this.#wanted();
     const asked = JSON.stringify([wanted, this.cursors]);
     const request = (page) => requestJson(`/v1/jobs?${query({ ...wanted, ...page })}`, { signal: this.signal });

@@ -57,6 +57,7 @@ export class JobView {
 
   /** Again each second or so; without `redraw`, what is drawn stays unless cells were computed. */
   async refresh(redraw = true) {
+    this.#pollAfter.cancel();
     const job = await requestJson(`/v1/jobs/${this.id}`, { signal: this.signal }).catch((error) => this.#pollFailed(error, redraw));
     if (!job || this.signal.aborted) return;
     if (!this.panel.isConnected) return location.reload(); // "No such sweep" took its place, and there is one again

@@ -121,9 +121,11 @@ function showActions(root, job, on) {
   if (root.dataset.actions === shown) return;
   root.dataset.actions = shown;
   const run = async (action) => {
-    if (action === "delete" && !confirm(`Delete “${titleOf(job)}” and its results?`)) return;
-    announce(`${titleOf(job)}: ${action} requested.`); // running chunks may still end
-    if (action !== "delete") return on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
+    if (action !== "delete") {
+      on.change(await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }));
+      return announce(`${titleOf(job)}: ${action} requested.`); // running chunks may still end
+    }
+    if (!confirm(`Delete “${titleOf(job)}” and its results?`)) return;
     await deleteJob(job);
     announce(`${titleOf(job)} is deleted.`);
     on.delete();
