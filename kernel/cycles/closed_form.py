@@ -44,23 +44,27 @@ def orbit(k: Spring, periods: int, t: Array) -> Orbit:
     b, w = k.dashpot, k.stiffness
     fly, stick = flight(k, t), stuck(k, TWO_PI * periods - t)
     f = fly.free
-    # Each quantity is x[0] + x[1] c + x[2] s. The gap without its t**2 terms, which n = 0 removes:
+    # Each quantity is x[0] + x[1] c + x[2] v0. The gap without its t**2 terms, which n = 0 removes:
     # gap(t) = c cos_rest - s sin_rest + (1 - c) s_int_rest + w v0 s_int2
     zero, one = np.zeros_like(t), np.ones_like(t)
-    v0 = np.array([-fly.s_int_rest, fly.s_int_rest - fly.cos_rest, fly.sin_rest]) / (w * fly.s_int2)
+    s = np.array([fly.s_int_rest, fly.cos_rest - fly.s_int_rest, w * fly.s_int2]) / fly.sin_rest
+    c, v0 = np.array([zero, one, zero]), np.array([zero, zero, one])
     q0 = (np.array([one, -one, zero]) - b * v0) / w
-    impact = np.array([fly.s_rest, -fly.sin_rest - fly.s_rest, -fly.versine]) + w * fly.s_int * v0
-    q_land = q0 * f.c + v0 * f.s
-    v_land = q0 * f.c1 + v0 * f.s1 + impact
-    # in contact q is a driven motion, here at landing and below at take-off, plus a free motion h
+    impact = np.array([fly.s_rest, -fly.sin_rest - fly.s_rest, w * fly.s_int]) - fly.versine * s
+    longer = v0 * f.s - q0 * f.versine
+    q_land, v_land = q0 * f.c + v0 * f.s, q0 * f.c1 + v0 * f.s1 + impact
+    # in contact q is a driven motion, here at landing, plus a free motion h; turn: of the former during T
     re, im = k.q_re * fly.cos - k.q_im * fly.sin, k.q_re * fly.sin + k.q_im * fly.cos
-    h0 = q_land + np.array([one / w, -re, im])
-    h1 = v_land + np.array([zero, im, re])
-    x = stick.c * h0 + stick.s * h1 - q0 - np.array([one / w, -k.q_re * one, k.q_im * one])
-    y = stick.c1 * h0 + stick.s1 * h1 - v0 - np.array([zero, k.q_im * one, k.q_re * one])
+    turn_re, turn_im = k.q_re * fly.versine + k.q_im * fly.sin, k.q_re * fly.sin - k.q_im * fly.versine
+    h0 = q_land + np.array([one / w, zero, zero]) - re * c + im * s
+    h1 = v_land + im * c + re * s
+    x = longer + turn_re * c + turn_im * s - stick.versine * h0 + stick.s * h1
+    y = stick.c1 * h0 + stick.s1 * h1 - v0 - k.q_im * c - k.q_re * s
     det = x[1] * y[2] - x[2] * y[1]
-    c, s = (x[2] * y[0] - x[0] * y[2]) / det, (x[0] * y[1] - x[1] * y[0]) / det
-    v0, q0, impact, q_land, v_land = (z[0] + z[1] * c + z[2] * s for z in (v0, q0, impact, q_land, v_land))
+    a, v = (x[2] * y[0] - x[0] * y[2]) / det, (x[0] * y[1] - x[1] * y[0]) / det
+    c, s, q0, v0, impact, q_land, v_land = (
+        z[0] + z[1] * a + z[2] * v for z in (c, s, q0, v0, impact, q_land, v_land)
+    )
     return Orbit(c, s, q0, v0, impact, q_land, v_land, det)
 
 

@@ -51,6 +51,7 @@ class Free(NamedTuple):
     s: Array
     c1: Array
     s1: Array
+    versine: Array  # 1 - c
 
 
 class Flight(NamedTuple):
@@ -90,12 +91,15 @@ def free(a: Number, w: Number, t: Array) -> Free:
         angle = root * t
         s = decay * np.sin(angle) / root
         c = decay * np.cos(angle) + a * s
+        s1, versine = c - 2.0 * a * s, 1.0 - c
     else:
         root = np.sqrt(d)
         slow = -w / (a + root)
         tail = np.exp(slow * t)
         s = tail * -np.expm1(-2.0 * root * t) / (2.0 * root if d != 0.0 else 1.0)
         c = tail - slow * s
+        # a stiff dashpot makes s1 and 1 - c small
+        s1, versine = slow * s + np.exp((slow - 2.0 * root) * t), slow * s - np.expm1(slow * t)
     if near.any():
         x = square[near]
         sine, cosine = np.ones_like(x), np.ones_like(x)
@@ -106,7 +110,8 @@ def free(a: Number, w: Number, t: Array) -> Free:
             sine = sine + term / (2 * n + 1)
         s[near] = decay[near] * t[near] * sine
         c[near] = decay[near] * cosine + a * s[near]
-    return Free(c, s, -w * s, c - 2.0 * a * s)
+        s1[near], versine[near] = c[near] - 2.0 * a * s[near], 1.0 - c[near]
+    return Free(c, s, -w * s, s1, versine)
 
 
 def stuck(k: Spring, t: Array) -> Free:
@@ -118,7 +123,7 @@ def flight(k: Spring, t: Array) -> Flight:
     """The elongation after t rad in flight, q'' + 2 b q' + 2 w q = 0, and its integrals."""
     b, w = k.dashpot, k.stiffness
     f = free(b, 2.0 * w, t)
-    s_int = (1.0 - f.c) / (2.0 * w)
+    s_int = f.versine / (2.0 * w)
     s_int2 = (t - f.s - 2.0 * b * s_int) / (2.0 * w)
     s_rest, s_int_rest = f.s - t, s_int - 0.5 * t * t
     near = np.real(t) * max(np.sqrt(2.0 * abs(w)), 2.0 * abs(b)) < SERIES_BELOW

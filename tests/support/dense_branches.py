@@ -5,8 +5,9 @@ contact are linear in it, so the flow over the grid's j steps is the j-th power 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import mpmath
 import numpy as np
 from scipy.linalg import expm
 
@@ -20,10 +21,9 @@ class Found(NamedTuple):
     margin: float  # least of the orbit's conditions, relative to their sizes; > 0: admissible
 
 
-def _generators(omega: float, xi: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _generators(b: Any, w: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The generators (7, 7) of flight and contact, and the matrix of a landing."""
-    b, w = 2.0 * xi / omega, 1.0 / omega**2
-    flight, contact = np.zeros((7, 7)), np.zeros((7, 7))
+    flight, contact = np.zeros((7, 7), type(b)), np.zeros((7, 7), type(b))
     for m in (flight, contact):
         m[0, 1] = 1.0
         m[4, 5], m[5, 4] = -1.0, 1.0
@@ -50,9 +50,15 @@ def _powers(generator: np.ndarray, step: float, count: int) -> np.ndarray:
 
 def _starts(down: np.ndarray, whole: np.ndarray, b: float, w: float) -> np.ndarray:
     """(q, v, c, s) at take-off (n, 4) of cycles with these flows (n, 7, 7) over a flight and a cycle."""
+    system, right = _conditions(down, whole, b, w)
+    return np.asarray(np.linalg.solve(system, right[..., None])[..., 0])
+
+
+def _conditions(down: np.ndarray, whole: np.ndarray, b: Any, w: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The linear system (n, 4, 4) of (q, v, c, s) at take-off, and its right side (n, 4)."""
     free, rest = [0, 1, 4, 5], 6
-    system = np.zeros((len(down), 4, 4))
-    right = np.zeros((len(down), 4))
+    system = np.zeros((len(down), 4, 4), down.dtype)
+    right = np.zeros((len(down), 4), down.dtype)
     system[:, 0] = w, b, 1.0, 0.0
     right[:, 0] = 1.0  # n = 1 - c - b v - w q = 0
     system[:, 1] = down[:, 2, free]
@@ -61,21 +67,27 @@ def _starts(down: np.ndarray, whole: np.ndarray, b: float, w: float) -> np.ndarr
         system[:, row] = whole[:, i][:, free]
         system[:, row, i] -= 1.0
         right[:, row] = -whole[:, i, rest]
-    return np.asarray(np.linalg.solve(system, right[..., None])[..., 0])
+    return system, right
 
 
 def takeoff(omega: float, xi: float, periods: int, flight_time: float) -> np.ndarray:
-    """(q, v, c, s) at take-off of the cycle with one flight time."""
-    flight, contact, landing = _generators(omega, xi)
-    fly, stick = expm(flight * flight_time), expm(contact * (2.0 * math.pi * periods - flight_time))
-    return _starts(fly[None], (stick @ landing @ fly)[None], 2.0 * xi / omega, 1.0 / omega**2)[0]
+    """(q, v, c, s) at take-off of the cycle with one flight time, computed with 50 digits."""
+    with mpmath.workdps(50):
+        b, w = 2 * mpmath.mpf(xi) / omega, 1 / mpmath.mpf(omega) ** 2
+        flight, contact, landing = map(mpmath.matrix, _generators(b, w))
+        fly = mpmath.expm(flight * flight_time)
+        whole = mpmath.expm(contact * (2 * mpmath.pi * periods - flight_time)) * landing * fly
+        down, around = (np.array(m.tolist(), object)[None] for m in (fly, whole))
+        system, right = _conditions(down, around, b, w)
+        solved = mpmath.lu_solve(mpmath.matrix(system[0]), mpmath.matrix(right[0]))
+        return np.array([float(x) for x in solved])
 
 
 def events(omega: float, xi: float, periods: int, below: float, points: int = 20_000) -> list[Found]:
     """Folds, flips and Neimark-Sacker points with Gamma < below, by flight time."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     step = 2.0 * math.pi * periods / points
-    generator, stuck, landing = _generators(omega, xi)
+    generator, stuck, landing = _generators(b, w)
     fly, stick = _powers(generator, step, points), _powers(stuck, step, points)
     at = np.arange(1, points)
     # from take-off with gap = gap' = 0 over flight, landing and contact
@@ -171,7 +183,7 @@ def _held(
 def held(omega: float, xi: float, periods: int, flight_time: float, samples: int = 4_000) -> Held:
     """The conditions of the cycle with one flight time (1,)."""
     b, w = 2.0 * xi / omega, 1.0 / omega**2
-    generator, stuck, landing = _generators(omega, xi)
+    generator, stuck, landing = _generators(b, w)
     fly = _powers(generator, flight_time / samples, samples)
     stick = _powers(stuck, (2.0 * math.pi * periods - flight_time) / samples, samples)
     start = _starts(fly[-1:], stick[-1:] @ (landing @ fly[-1:]), b, w)
@@ -193,7 +205,7 @@ def breaks(
     """
     b, w = 2.0 * xi / omega, 1.0 / omega**2
     step = 2.0 * math.pi * periods / points
-    generator, stuck, landing = _generators(omega, xi)
+    generator, stuck, landing = _generators(b, w)
     fly, stick = _powers(generator, step, points), _powers(stuck, step, points)
     sampled = np.arange(0, points, every)
     gap_rows = fly[sampled, 2]

@@ -23,6 +23,7 @@ SPRINGS = [
     (0.5, 0.26), (0.62, 0.05), (0.3, 0.02), (1.0, 0.7071067811865476), (0.8, 0.72), (0.9, 1.0),
     (0.9, 1.0 - 1e-12), (2.0, 3.0), (5.0, 10.0), (12.0, 0.1), (0.1, 1.0),
 ]  # fmt: skip
+EXTREME = [(300.0, 0.1), (0.5, 1e3), (0.06, 1e5), (40.0, 1e6)]
 
 
 @for_each("cell", REFERENCE["floquet"])
@@ -57,15 +58,14 @@ def test_balance_along_whole_branches(omega, xi):
     assert np.max(np.abs(e.force + e.impulse - e.weight) / (np.abs(e.force) + e.weight)) < 1e-9
 
 
-@for_each(("omega", "xi"), SPRINGS)
-@for_each("periods", [1, 2])
-def test_the_four_conditions(omega, xi, periods):
-    """Against their solution by matrix exponentials."""
-    k = spring(omega, xi)
-    for t in (0.9, 2.5, 4.0, 5.8, 5.8 + (periods - 1) * 6.0):
-        x = orbit(k, periods, np.array([t]))
-        expected = dense_branches.takeoff(omega, xi, periods, t)
-        assert [x.q0[0], x.v0[0], x.c[0], x.s[0]] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+@for_each(("omega", "xi"), SPRINGS + EXTREME)
+@for_each(("periods", "flight_time"), [(1, 0.9), (1, 4.0), (2, 11.8)])
+def test_the_four_conditions(omega, xi, periods, flight_time):
+    """Against their solution by matrix exponentials of 50 digits."""
+    x = orbit(spring(omega, xi), periods, np.array([flight_time]))
+    expected = dense_branches.takeoff(omega, xi, periods, flight_time)
+    rounding = 1e-14 * float(np.hypot(*expected[2:]))
+    assert [x.q0[0], x.v0[0], x.c[0], x.s[0]] == pytest.approx(expected, rel=1e-13, abs=rounding)
 
 
 @for_each(("omega", "xi"), SPRINGS)
