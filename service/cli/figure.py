@@ -106,14 +106,16 @@ def tradeoff(output: str | None) -> None:
     from service.cli.views import table
     from service.client.display import display_elapsed
     from service.figures import tradeoff
+    from service.views.encode import check_format
     from service.views.registry import encoded
     from worker.kernel_cache import use_cache
 
-    format = options.output_format(output, tradeoff.VIEW.formats) if output else None
+    format = options.output_format(output, tradeoff.VIEW.formats) if output else ""
+    check_format(format)
     use_cache()
     measured = [0]
     with display_elapsed(lambda: f"measured {measured[-1]} of {len(tradeoff.SETTINGS)} contacts"):
         results = tradeoff.measure(tradeoff.SETTINGS, measured.append)
     click.echo(table(results, ["cost"]), err=output == "-")
-    if output and format:
+    if output:
         options.write_file(output, encoded(tradeoff.VIEW, None, results, format))

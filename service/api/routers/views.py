@@ -35,6 +35,7 @@ from service.jobs.on_demand import Pending
 from service.ledger.model import JobRecord
 from service.views import audit, difference
 from service.views import plan as plans
+from service.views.encode import check_format
 from service.views.registry import SPRINGS, VIEWS, admit, answer, encoded, motion
 from service.views.selection import BASE_MEMORY, Stored
 from service.views.trajectory import BYTES_PER_SAMPLE, MAX_SAMPLES, TrajectorySpec, check_cost
@@ -254,6 +255,7 @@ def compute_trajectory(
     The answer is the result `trajectory` of a job. Lengths are in plate amplitudes: the paper's zω²/g divided
     by Γ, as its Fig. 2 draws them.
     """
+    check_format(query.format)
     spec = TrajectorySpec.from_json(body)
     check_cost(spec, service.settings.trajectory_seconds)
     content = service.background.run(motion, spec, query.format)
@@ -280,6 +282,7 @@ def plan_sweep(service: ServiceDep, body: JsonBody, query: Annotated[_PlanQuery,
     settings = plans.settings_of(spec, manager.pace, manager.workers(), manager.check)
     fields = query.model_dump()
     format, plain = fields.pop("format"), plans.PlanQuery(**fields)
+    check_format(format)
     [pilot] = _computed(service, None, plans.parts(settings, plain))
     content = encoded(plans.VIEW, None, plans.compute(settings, plain, pilot), format)
     return Response(content, media_type=MEDIA_TYPES[format])

@@ -30,9 +30,14 @@ def no_pyarrow(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_over_http_parquet_is_501_and_netcdf_is_there(tmp_path: Path, no_pyarrow: None):
     with computing(tmp_path) as client:
         job = finished(client, SWEEP)
-        answer = client.get(f"{job}/export?format=parquet")
-        assert (answer.status_code, answer.json()["title"]) == (501, "Not Implemented")
-        assert 'pip install -e ".[parquet]"' in answer.json()["detail"]
+        answers = [
+            client.get(f"{job}/export?format=parquet"),
+            client.post("/v1/plans?format=parquet", json=SWEEP),
+            client.post("/v1/trajectories?format=parquet", json={"gamma": 1.2, "omega": 0.5, "xi": 0.26}),
+        ]
+        for answer in answers:
+            assert (answer.status_code, answer.json()["title"]) == (501, "Not Implemented")
+            assert 'pip install -e ".[parquet]"' in answer.json()["detail"]
         assert client.get(f"{job}/export?format=nc").status_code == 200
 
 
