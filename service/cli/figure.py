@@ -96,8 +96,9 @@ def _service(workers: int | None, data: str | None, token: str | None) -> Iterat
 
 
 @click.command()
-@click.option("-o", "--output", type=click.Path(dir_okay=False, allow_dash=True),
-              help="File to write as well, a picture or a table.")  # fmt: skip
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False), help="File to write as well, a picture or a table."
+)
 def tradeoff(output: str | None) -> None:
     """Measure the cost and the accuracy of each contact model.
 
@@ -116,6 +117,6 @@ def tradeoff(output: str | None) -> None:
     measured = [0]
     with display_elapsed(lambda: f"measured {measured[-1]} of {len(tradeoff.SETTINGS)} contacts"):
         results = tradeoff.measure(tradeoff.SETTINGS, measured.append)
-    click.echo(table(results, ["cost"]), err=output == "-")
+    click.echo(table(results, ["cost"]))
     if output:
         options.write_file(output, encoded(tradeoff.VIEW, None, results, format))

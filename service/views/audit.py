@@ -375,7 +375,9 @@ def _tolerance(study: Stored[SweepSpec], query: AuditQuery) -> float:
 
 
 def _contact(study: Stored[SweepSpec]) -> Any:
-    return audit.approximated(study.submitted, study.spec)
+    """The contact that a sweep approximates, for the question `model`; None if it computes that contact."""
+    exact = study.submitted.model.exact
+    return None if study.spec.model == exact else exact
 
 
 def _cells(spec: SweepSpec, query: AuditQuery) -> int:

@@ -101,12 +101,6 @@ class _Drawn(NamedTuple):
     point: Cell | None = None
 
 
-def approximated(submitted: SweepSpec, spec: SweepSpec) -> Contact | None:
-    """The contact that a sweep approximates, for the question `model`; None if it computes that contact."""
-    exact: Contact = submitted.model.exact
-    return None if spec.model == exact else exact
-
-
 def steppers(spec: SweepSpec) -> tuple[Stepped, ...]:
     """The contact of a sweep with the time steps of STEPS; none if it cannot be stepped."""
     if not isinstance(spec.model, Soft) or spec.model.restitution < MIN_RESTITUTION:
