@@ -1,5 +1,6 @@
 """The commands on the data folder itself, which need no service: backup, restore, adopt, doctor."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,7 +43,8 @@ def restore(file: Path, data: str | None) -> None:
     from service.ledger import backup as backups
 
     settings = _settings(data)
-    (jobs, chunks), replaced = backups.restore(settings.ledger_path, file)
+    check_owner = partial(opening.check_owner, settings)
+    (jobs, chunks), replaced = backups.restore(settings.ledger_path, file, check_owner)
     click.echo(f"{settings.ledger_path}: {plural(jobs, 'job')}, {plural(chunks, 'done chunk')}")
     if replaced is not None:
         click.echo(f"the ledger that was there is {replaced}")

@@ -299,7 +299,11 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
             raise UnexpectedAnswer(f"{request.url} answered without a length: a proxy may have cut it")
         return response
     if status < 400:
-        raise UnexpectedAnswer(f"{request.url} answered {status}, not as a bounce service does")
+        rule = ", not as a bounce service does"
+        if "Location" in answered:  # a query may be secret
+            target = request.url.join(answered["Location"]).copy_with(query=None, fragment=None)
+            rule = f" and sends on to {target}: if the service is there, give its address"
+        raise UnexpectedAnswer(f"{request.url} answered {status}{rule}")
     answer = f"{status} {response.reason_phrase}"
     if status == HTTPStatus.BAD_GATEWAY:  # as without the proxy
         raise httpx2.RemoteProtocolError(f"a proxy said {answer}")

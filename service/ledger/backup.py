@@ -2,7 +2,7 @@
 
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -52,14 +52,19 @@ def backup(ledger: Path, file: Path) -> Contents:
     return contents
 
 
-def restore(ledger: Path, file: Path) -> tuple[Contents, Path | None]:
+def restore(
+    ledger: Path, file: Path, check_owner: Callable[[ReadTransaction], None] = lambda _: None
+) -> tuple[Contents, Path | None]:
     """Put a backup in place of a ledger; its contents, and the path where the previous ledger is kept.
 
-    Raises DataFolderBusy while a service uses the folder, LedgerUnusable if `file` is not a whole ledger.
+    check_owner: refuses a backup whose stores are elsewhere. Raises DataFolderBusy while a service uses the
+    folder, LedgerUnusable if `file` is not a whole ledger.
     """
     if not file.is_file():
         raise LedgerUnusable(f"there is no file {file}")
     contents = inspect(file)
+    with reading(file) as kept:
+        check_owner(kept)
     make_folder(ledger.parent)
     with locked(ledger):
         try:

@@ -14,6 +14,7 @@ from typing import Final
 
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger.ledger import Ledger
+from service.ledger.transactions import ReadTransaction
 from service.settings import Settings
 from worker import store
 
@@ -33,7 +34,6 @@ class StoresMarker:
 
     def __init__(self, ledger: Ledger, settings: Settings) -> None:
         self._ledger, self._settings, self._url = ledger, settings, settings.stores_url
-        self._within_data = settings.stores is None  # no other data folder has them
         self._remembered = REMEMBERED_SECONDS if store.in_bucket(self._url) else 0.0
         self._checked = float("-inf")
 
@@ -47,9 +47,7 @@ class StoresMarker:
             ours, made = reading.marker()
         settings = self._settings
         try:
-            marker = store.read_marker(self._url)
-            if marker not in (None, "", ours) and (made or not self._within_data):
-                raise LedgerUnusable(self._foreign(str(marker)))
+            marker = _own_marker(settings, ours, made)
             # a marker that a power cut left empty is ours if the ledger knows one of the stores beside it
             emptied = marker == "" and find_unknown(self._ledger, settings) != (_stored(settings) or None)
             if marker != ours and (adopting or not made or emptied):
@@ -92,15 +90,31 @@ class StoresMarker:
                 "bounce adopt --all"
             )
         if marker != ours:
-            raise LedgerUnavailable(self._foreign(marker))
+            raise LedgerUnavailable(_foreign(marker))
         self._checked = time.monotonic()
 
-    def _foreign(self, marker: str) -> str:
-        return (
-            f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
-            f"{marker[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for "
-            f"good, remove {store.MARKER} and run bounce adopt --all"
-        )
+
+def _own_marker(settings: Settings, ours: str, made: bool) -> str | None:
+    """The marker of the stores; None if it is missing. Raises LedgerUnusable if it is another ledger's."""
+    marker = store.read_marker(settings.stores_url)
+    # a ledger that has marked no stores takes those of its own data folder
+    if marker not in (None, "", ours) and (made or settings.stores is not None):
+        raise LedgerUnusable(_foreign(str(marker)))
+    return marker
+
+
+def _foreign(marker: str) -> str:
+    return (
+        f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
+        f"{marker[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for "
+        f"good, remove {store.MARKER} and run bounce adopt --all"
+    )
+
+
+def check_owner(settings: Settings, ledger: ReadTransaction) -> None:
+    """Raise LedgerUnusable if the stores are not those of a ledger that is to be restored."""
+    with suppress(*_UNREADABLE):
+        _own_marker(settings, *ledger.marker())
 
 
 def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:

@@ -269,14 +269,15 @@ def test_an_answer_that_inflates_to_much_more_is_not_read_to_its_end(monkeypatch
 NESTED = b'{"id": ' + b"[" * 200_000 + b"]" * 200_000 + b"}"
 
 
-@for_each("answer", [
-    Answer(200, NESTED),
-    Answer(200, b"<html>hello</html>"),
-    Answer(200, {"id": ID}),
-    Answer(302, b"", Location="http://127.0.0.1:1/"),
+@for_each(("answer", "told"), [
+    (Answer(200, NESTED), "answered 200"),
+    (Answer(200, b"<html>hello</html>"), "answered 200"),
+    (Answer(200, {"id": ID}), "not describe a job"),
+    (Answer(308, b"", Location="/bouncing/v1?token=secret"), r"on to http://[0-9.:]+/bouncing/v1: if"),
 ])  # fmt: skip
-def test_another_program_at_the_address_is_recognised(answer: Answer):
-    with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer):
+def test_another_program_at_the_address_is_recognised(answer: Answer, told: str):
+    """An answer that sends on is not followed, because the token is for the address given."""
+    with scripted(answer) as (_, client), pytest.raises(UnexpectedAnswer, match=told):
         client.job(ID)
 
 

@@ -15,9 +15,11 @@ from stores import files, store_in
 from kernel.params import KERNEL_VERSION
 from service.cli.main import main
 from service.errors import DataFolderBusy, LedgerUnusable
+from service.jobs.stores.opening import open_ledger
 from service.ledger import backup
 from service.ledger.model import JobState
 from service.ledger.paths import wal_of
+from service.settings import Settings
 from worker.executors.inline import Inline
 
 SPECS = [sweep(omega=omega) for omega in (0.5, 0.6, 0.7)]
@@ -151,6 +153,16 @@ def test_nothing_is_restored_under_a_running_service(folder: Path):
         assert "another service uses the data folder" in bounce("adopt", "--all", "--data", str(data)).output
         with service.ledger.reading() as ledger:
             assert len(ledger.stores()) == 3
+
+
+def test_a_backup_of_another_data_folder_is_refused_before_anything_is_replaced(tmp_path: Path):
+    for name in ("one", "other"):
+        open_ledger(Settings(data=tmp_path / name)).close()
+    backup.backup(tmp_path / "one" / "ledger.sqlite", tmp_path / "of one")
+    before = files(tmp_path / "other")
+    answer = bounce("restore", str(tmp_path / "of one"), "--data", str(tmp_path / "other"))
+    assert (answer.exit_code, "the stores are another data folder's" in answer.output) == (1, True)
+    assert files(tmp_path / "other") == before
 
 
 def test_what_is_no_ledger_is_not_restored(folder: Path):
