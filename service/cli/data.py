@@ -43,8 +43,8 @@ def restore(file: Path, data: str | None) -> None:
     from service.ledger import backup as backups
 
     settings = _settings(data)
-    check_owner = partial(opening.check_owner, settings)
-    (jobs, chunks), replaced = backups.restore(settings.ledger_path, file, check_owner)
+    check_marker = partial(opening.own_marker, settings)
+    (jobs, chunks), replaced = backups.restore(settings.ledger_path, file, check_marker)
     click.echo(f"{settings.ledger_path}: {plural(jobs, 'job')}, {plural(chunks, 'done chunk')}")
     if replaced is not None:
         click.echo(f"the ledger that was there is {replaced}")

@@ -53,18 +53,18 @@ def backup(ledger: Path, file: Path) -> Contents:
 
 
 def restore(
-    ledger: Path, file: Path, check_owner: Callable[[ReadTransaction], None] = lambda _: None
+    ledger: Path, file: Path, check_marker: Callable[[str, bool], object] = lambda *_: None
 ) -> tuple[Contents, Path | None]:
     """Put a backup in place of a ledger; its contents, and the path where the previous ledger is kept.
 
-    check_owner: refuses a backup whose stores are elsewhere. Raises DataFolderBusy while a service uses the
+    check_marker: raises for the marker of other stores. Raises DataFolderBusy while a service uses the
     folder, LedgerUnusable if `file` is not a whole ledger.
     """
     if not file.is_file():
         raise LedgerUnusable(f"there is no file {file}")
     contents = inspect(file)
     with reading(file) as kept:
-        check_owner(kept)
+        check_marker(*kept.marker())
     make_folder(ledger.parent)
     with locked(ledger):
         try:

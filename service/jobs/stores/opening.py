@@ -14,7 +14,6 @@ from typing import Final
 
 from service.errors import LedgerUnavailable, LedgerUnusable
 from service.ledger.ledger import Ledger
-from service.ledger.transactions import ReadTransaction
 from service.settings import Settings
 from worker import store
 
@@ -47,7 +46,7 @@ class StoresMarker:
             ours, made = reading.marker()
         settings = self._settings
         try:
-            marker = _own_marker(settings, ours, made)
+            marker = own_marker(settings, ours, made)
             # a marker that a power cut left empty is ours if the ledger knows one of the stores beside it
             emptied = marker == "" and find_unknown(self._ledger, settings) != (_stored(settings) or None)
             if marker != ours and (adopting or not made or emptied):
@@ -94,10 +93,12 @@ class StoresMarker:
         self._checked = time.monotonic()
 
 
-def _own_marker(settings: Settings, ours: str, made: bool) -> str | None:
-    """The marker of the stores; None if it is missing. Raises LedgerUnusable if it is another ledger's."""
+def own_marker(settings: Settings, ours: str, made: bool) -> str | None:
+    """The stores' marker; None if it is missing. Raises LedgerUnusable for another's, OSError, Unreachable.
+
+    ours, made: of the ledger, `ReadTransaction.marker`. One that has marked none takes its data folder's.
+    """
     marker = store.read_marker(settings.stores_url)
-    # a ledger that has marked no stores takes those of its own data folder
     if marker not in (None, "", ours) and (made or settings.stores is not None):
         raise LedgerUnusable(_foreign(str(marker)))
     return marker
@@ -109,12 +110,6 @@ def _foreign(marker: str) -> str:
         f"{marker[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for "
         f"good, remove {store.MARKER} and run bounce adopt --all"
     )
-
-
-def check_owner(settings: Settings, ledger: ReadTransaction) -> None:
-    """Raise LedgerUnusable if the stores are not those of a ledger that is to be restored."""
-    with suppress(*_UNREADABLE):
-        _own_marker(settings, *ledger.marker())
 
 
 def find_unknown(ledger: Ledger, settings: Settings) -> list[str]:
