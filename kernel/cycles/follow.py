@@ -251,9 +251,13 @@ def _located(kinds: Sequence[Kind], a: Point, b: Point) -> list[Event]:
     for kind in kinds:
         test = partial(crossing, kind)
         around = min(abs(test(a)), abs(test(b)))
-        point = root(a, _reach(a, b), test) if test(a) != 0.0 else a
-        if point is not None and happens(kind, point, around):
-            events.append(Event(kind, point, turns=kind is Kind.FOLD))
+        # Newton's method may fail from either end before it comes to the event
+        for first, last in ((a, b), (b.back(), a)):
+            point = root(first, _reach(first, last), test) if test(first) != 0.0 else first
+            if point is not None and happens(kind, point, around):
+                point = point if first is a else point.back()
+                events.append(Event(kind, point, turns=kind is Kind.FOLD))
+                break
     return sorted(events, key=lambda event: _reach(a, event.point))
 
 

@@ -173,6 +173,15 @@ def test_flips_beside_grazes(beside):
         assert len(gammas(follow(line.points[-1].back(), 0.0), FLIP)) == 4
 
 
+def test_a_torus_point_that_newtons_method_reaches_only_from_beyond():
+    """Multipliers at a flip, Gamma 3.9217025, are beyond the unit circle 6.2e-5 above it, next to a graze."""
+    plate = soft(0.231732251533, 0.0330068966503, adhesive=False)
+    line = branches(plate, 1.09586168979, 0.0351172566676, 1)[0]
+    point = next(event.point for event in line.events if event.kind is TORUS)
+    assert point.parameter == pytest.approx(3.921764403, abs=1e-8)
+    assert abs(point.multipliers[0]) == pytest.approx(1.0, abs=1e-9)
+
+
 @pytest.mark.parametrize("omega", [1.3, 1.35, 1.4])
 def test_a_branch_far_above_where_the_search_begins(omega):
     """From where its flights vanish to the end of the span."""
