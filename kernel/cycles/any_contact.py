@@ -47,6 +47,8 @@ _SHORT_FLIGHTS: Final = (0.5, 0.25, 1.0, 0.1, 1.5)
 #: Places within a range of Gamma with a stable closed-form cycle, and the narrowest range that counts.
 _SHARES: Final = (0.5, 0.3, 0.7, 0.15, 0.85)
 _NARROWEST: Final = 1e-3
+#: Limit on the points from a cycle outside the range of a parameter to the range.
+_WAY: Final = 4 * POINTS
 #: Rounds after which a contact is close to an attracting cycle.
 _ROUNDS: Final = 100
 #: A cycle without a longer flight, rad, is too close to rest.
@@ -98,15 +100,15 @@ def turned(point: Point, along: str, gamma: float) -> Point:
 def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int = POINTS) -> list[Followed]:
     """The branches through the cycles whose parameter lies in `span`, each branch once.
 
-    Then those that reach `span` from a cycle outside.
+    Then those that reach `span` from a cycle outside, and the last points of ways there that are cut off.
     """
     followed: list[Followed] = []
     outside: list[Point] = []
+    cut: list[Followed] = []
 
     def joins(point: Point) -> bool:
         """Whether a branch that was cut off passes through a cycle."""
-        cut = (line for line in followed if any(event.kind is End.CUT_OFF for event in line.events))
-        return any(lies_on(point, line) for line in cut)
+        return any(lies_on(point, line) for line in followed if _cut(line))
 
     for seed in cycles:
         if not within(seed, span):
@@ -119,16 +121,22 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
             continue
         reach = min(span[0], seed.parameter), max(span[1], seed.parameter)
         way = span[0] - seed.parameter
-        ways.append(follow(seed, way, points=points, span=reach, until=lambda point: within(point, span)))
+        ways.append(follow(seed, way, points=_WAY, span=reach, until=lambda point: within(point, span)))
         first = ways[-1].points[-1]
         if within(first, span) and not any(lies_on(first, line) for line in followed):
             followed.append(both_ways(first, span, points, joins))
-    return followed
+        cut += [Followed([first], _cut(ways[-1]))] if _cut(ways[-1]) else []
+    return followed + cut
+
+
+def _cut(line: Followed) -> list[Event]:
+    """Where a branch is cut off."""
+    return [event for event in line.events if event.kind is End.CUT_OFF]
 
 
 def cut_off(lines: list[Followed]) -> list[Event]:
     """Where branches are cut off, and no other one goes on."""
-    ends = ((event, line) for line in lines for event in line.events if event.kind is End.CUT_OFF)
+    ends = ((event, line) for line in lines for event in _cut(line))
     return [end for end, own in ends if not any(lies_on(end.point, x) for x in lines if x is not own)]
 
 

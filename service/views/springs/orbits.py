@@ -145,7 +145,8 @@ def compute(
     gamma_max = query.gamma_max or GAMMA_MAX
     top = gamma_max if plate is None else np.inf  # followed branches end there, or are of one gamma
     kept = [rows_of(each, each.gamma <= top) for each in events]
-    pieces, on = pieces_below(branches, [(x.gamma, x.flight_time) for x in kept], top)
+    highest = gamma_max if query.along == "gamma" else np.inf
+    pieces, on = pieces_below(branches, [(x.gamma, x.flight_time) for x in kept], highest)
     data = padded(OF_POINT, pieces) if not query.doubled else with_flights(pieces)
     if plate is not None:
         data |= padded(("flights", "cycle_state"), pieces)

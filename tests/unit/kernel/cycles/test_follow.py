@@ -22,7 +22,7 @@ from kernel.cycles.any_contact import (
     up_to_shorter,
 )
 from kernel.cycles.changes import doubled
-from kernel.cycles.events import Kind
+from kernel.cycles.events import Kind, branch_and_events
 from kernel.cycles.follow import LARGEST, RANGE, End, follow
 from kernel.params import Cell
 
@@ -180,6 +180,21 @@ def test_a_torus_point_that_newtons_method_reaches_only_from_beyond():
     point = next(event.point for event in line.events if event.kind is TORUS)
     assert point.parameter == pytest.approx(3.921764403, abs=1e-8)
     assert abs(point.multipliers[0]) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_branch_whose_first_cycle_is_far_outside_the_span():
+    """On an ideal plate it turns at the fold of the closed form."""
+    omega, xi, span = 0.4698, 0.03, (RANGE[0], 1.0)
+    _, known = branch_and_events(omega, xi, 1)
+    expected = known.gamma[(known.kind == FOLD) & (known.gamma < span[1]) & (known.violations == 0)]
+    lines = branches(rigid(0.0), omega, xi, 1, span=span)
+    assert [x for line in lines for x in gammas(line, FOLD)] == pytest.approx(expected.tolist(), abs=1e-9)
+
+
+def test_a_way_from_a_cycle_outside_the_span_that_is_cut_off_says_so():
+    lines = branches(soft(0.64487, 1.1922e-5), 1.43847, 0.040238, 1, span=(RANGE[0], 1.0))
+    (end,) = cut_off(lines)
+    assert end.point.parameter > 1.0
 
 
 @pytest.mark.parametrize("omega", [1.3, 1.35, 1.4])
