@@ -143,8 +143,8 @@ class ResultMethods(Methods):
         - `search`: searched for where branches of the sweep's contact do not decide
 
         Returns a Dataset with the attribute `complete` and the variables `analytic`, `up`, `down`,
-        `predicted_jump`, `predicted_down`, `up_status`, `down_status`, `cause`, `difference`. Waits up to
-        `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
+        `predicted_jump`, `predicted_down`, `up_status`, `down_status`, `cause`, `reason`, `difference`. Waits
+        up to `timeout` seconds for the workers, and shows `progress`. Raises BadRequest naming the parameter,
         TooLarge naming what fits.
         """
         return self.result("threshold", xi=xi, tolerance=tolerance, predict=predict, omega_start=omega_start, omega_stop=omega_stop, gamma_start=gamma_start, gamma_stop=gamma_stop, timeout=timeout, progress=progress)

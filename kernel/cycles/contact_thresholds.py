@@ -66,7 +66,7 @@ def thresholds_of(plate: Any, omega: float, xi: float, cycles: Sequence[Point] =
     answer = where_searched(lowest_end(answer, folds, ends))
     at = ", ".join(dict.fromkeys(f"{gamma:.4g}" for gamma in sorted(end.point.parameter for end in cut)))
     beyond = f"branches were cut off at Gamma = {at}: beyond, bouncing may reach lower" if cut else ""
-    return answer._replace(reason="; ".join(filter(None, [answer.reason, beyond])))
+    return answer._replace(reason="; ".join(filter(None, [answer.reason, beyond])), cut=beyond)
 
 
 def rest_ends(plate: Any, omega: float, xi: float) -> float:

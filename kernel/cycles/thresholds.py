@@ -59,6 +59,7 @@ class Thresholds(NamedTuple):
     #: "not searched"
     cause: str = UNRESOLVED
     reason: str = ""  # why it is not decided, or may be lower
+    cut: str = ""  # the part of it that a search leaves: where branches were cut off
     fold: Fold | None = None  # at `down`
     at_rest: str = EQ_25  # the cause if bouncing persists down to `gamma_th`
 

@@ -66,6 +66,7 @@ _ROWS: Final = (
     row("up_status", (), "U", "why up is a number or NaN"),
     row("down_status", (), "U", "why down is a number or NaN"),
     row("cause", (), "U", "what ends bouncing at predicted_down, or why that is NaN"),
+    row("reason", (), "U", "why predicted_down is not decided, or may be lower"),
     row("difference", (), "U", "why down and predicted_down differ"),
 )
 
@@ -126,6 +127,7 @@ def compute(study: selection.Stored[SweepSpec], query: ThresholdQuery, *computed
         "predicted_jump": [prediction.jump for prediction in predictions],
         "predicted_down": [prediction.down for prediction in predictions],
         "cause": [prediction.cause for prediction in predictions],
+        "reason": [prediction.reason for prediction in predictions],
         "difference": [_difference(spec, query.tolerance, *pair) for pair in pairs],
     }
     attrs = {"prediction": _prediction(study, query), "model": spec.model.kind, "complete": complete}

@@ -109,7 +109,7 @@ def _searched(contact: Contact, omega: float, xi: float) -> Thresholds:
     except KernelInputError:  # for which the answer has the reason
         return answer
     down, what = (end.gamma, end.what) if end.what else (answer.gamma_th, answer.at_rest)
-    return answer._replace(down=down, cause=f"{what}{SEARCHED}", reason="")
+    return answer._replace(down=down, cause=f"{what}{SEARCHED}", reason=answer.cut)
 
 
 def predict_from_cells(

@@ -119,7 +119,7 @@ def compute_spring(study: None, query: SpringQuery, *computed: Any) -> xarray.Da
         rest = thresholds.gamma_th, thresholds.at_rest
         gamma, what = (search.gamma, search.what) if search.what else rest
     if search is not None and not gamma > thresholds.down * _SAME_END:
-        data |= {"down": gamma, "cause": what, "status": "searched", "reason": ""}
+        data |= {"down": gamma, "cause": what, "status": "searched", "reason": thresholds.cut}
         data |= {row.name: getattr(search, row.name) for row in _OF_SEARCH}
     elif thresholds.fold is not None:
         data |= {"lifetime": lifetime(thresholds.fold, query.delta), "delta": query.delta}

@@ -48,6 +48,7 @@ def test_a_damping_that_was_not_searched_is_said_to_be(client: Client):
     for predict in ("some", "all", "cells"):
         found = job.threshold(predict=predict, progress=False)
         assert found.cause.values.tolist() == ["not searched"]
+        assert "Eq. 25, Gamma = 0.843762" in found.reason.item()
         assert np.isnan(found.predicted_down.values).all()
     ax = Figure().subplots()
     draw_thresholds(ax, found)

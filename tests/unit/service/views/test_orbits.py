@@ -27,7 +27,7 @@ from service.views.registry import SPRINGS
 from service.views.springs import curves as curves_view
 from service.views.springs import orbits as orbits_view
 from service.views.springs import threshold as spring_threshold
-from worker.analysis.prediction import predict
+from worker.analysis.prediction import of_contact, predict
 
 FOLD_060 = 0.553244593  # BRANCHES: xi = 0.05, Omega = 0.60
 SPRING: dict[str, Any] = {"omega": 0.6, "xi": 0.05}
@@ -127,6 +127,15 @@ def test_a_search_that_finds_nothing_leaves_the_fold_that_is_known():
     assert float(answer.down) == pytest.approx(FOLD_060, abs=1e-9)
     assert (answer.cause.item(), answer.status.item()) == ("fold (1,1)", "closed form")
     assert float(answer.missed) == nothing.missed
+
+
+def test_a_search_leaves_the_note_that_branches_were_cut_off():
+    spring = {"omega": 0.9, "xi": 0.06}
+    query = spring_threshold.SpringQuery(model="rigid", restitution=0.7, search=True, **spring)
+    followed = of_contact(query.contact(), **spring)
+    answer = spring_threshold.compute_spring(None, query, followed, Searched(np.nan, "", starts=100))
+    assert answer.status.item() == "searched"
+    assert answer.reason.item().startswith("branches were cut off at Gamma = 0.6")
 
 
 @for_each(("query", "rule"), [
