@@ -129,7 +129,7 @@ export class Explore extends Cycles {
 
   show() {
     this.showChoices();
-    queryChanges.dispatchEvent(new Event("change"));
+    setQuery({});
   }
 
   refresh() {
@@ -140,6 +140,7 @@ export class Explore extends Cycles {
   #follow() {
     this.sweep.href = link(["new"], { ...this.place, gamma: null, ...contactQuery(contactOf()) });
     this.describeThresholds();
+    this.plot.redraw(); // its Γ
     this.move();
   }
 }

@@ -4,7 +4,8 @@ import { query as encode } from "./api.js";
 import { debounced } from "./dom.js";
 import { AXES, clamp } from "./physics.js";
 
-const WINDOW = ["x0", "x1", "y0", "y1"];
+/** The parameters of a zoom window. */
+export const WINDOW = ["x0", "x1", "y0", "y1"];
 const NARROWEST = 1e-12; // of the values: numbers end at 1e-16
 
 /** The current address: {path: ["job", ID, "diagram"], query: {omega: "0.5"}}. */
@@ -31,7 +32,7 @@ function flush(isStep = false) {
   pending.from = location.hash;
 }
 
-/** Dispatches "change" after every setQuery(). */
+/** Dispatches "change" after every setQuery(), with the names of what it changed. */
 export const queryChanges = new EventTarget();
 
 /** Change query parameters; null removes one. With `isStep`, the browser's Back returns to the state before. */
@@ -42,7 +43,7 @@ export function setQuery(changes, isStep = false) {
   pending.query = Object.fromEntries(entries.map(([name, value]) => [name, String(value)])); // as read from the address
   if (isStep) flush(true); // at once: written later it would replace the state to which Back has returned
   else write();
-  queryChanges.dispatchEvent(new Event("change"));
+  queryChanges.dispatchEvent(new CustomEvent("change", { detail: Object.keys(changes) }));
 }
 
 /** The query parameters, including changes not written yet. */

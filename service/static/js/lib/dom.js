@@ -36,12 +36,15 @@ export function problemLine() {
 
 export const button = (title, onclick, attributes) => h("button", { type: "button", className: "quiet", onclick, ...attributes }, title);
 
-/** A button that cannot be pressed again until `work()` ends, which `busy` says; `failed(error)` tells why it did not. */
+/** A button that cannot be pressed again until `work(event)` ends, which `busy` says; `failed(error)` tells why it did not. */
 export function workButton(title, work, failed, { busy, ...props } = {}) {
-  const button = h("button", { type: "button", ...props, onclick: async () => {
+  const button = h("button", { type: "button", ...props, onclick: async (event) => {
     button.disabled = true;
-    if (busy) button.textContent = busy;
-    await Promise.resolve().then(work).catch(failed);
+    if (busy) {
+      button.textContent = busy;
+      announce(busy);
+    }
+    await Promise.resolve(event).then(work).catch(failed);
     button.disabled = false;
     if (busy) button.textContent = title;
     if (document.activeElement === document.body) button.focus({ preventScroll: true }); // which a disabled button loses

@@ -8,7 +8,8 @@ const PAGE = 25; // rows
 /** A table in a region that scrolls. The first cell of a row names it; cells are texts or nodes. */
 export function table(label, titles, rows) {
   const head = titles && h("thead", {}, h("tr", {}, titles.map((title) => h("th", { scope: "col", style: title.includes(" ") ? null : "white-space: nowrap" }, title))));
-  const cells = ([first, ...others]) => [h("th", { scope: "row" }, first), ...others.map((cell) => h("td", {}, cell))];
+  const unbroken = (cell) => (typeof cell === "string" ? cell.replace(/(?<=\([<>]?\d+,) (?=\d)/g, "\u00a0") : cell); // of a mode both numbers
+  const cells = ([first, ...others]) => [h("th", { scope: "row" }, unbroken(first)), ...others.map((cell) => h("td", {}, unbroken(cell)))];
   const body = h("tbody", {}, rows.map((row) => h("tr", {}, cells(row))));
   return h("div", { className: "scroll", tabindex: "0", role: "region", "aria-label": label }, h("table", {}, head, body));
 }

@@ -37,7 +37,8 @@ export class Player {
       h("div", { className: "controls" }, this.button, speeds, this.position));
     this.plot = new Plot(figure, {
       signal, takesInput: false, label: "Heights of the masses and the plate over plate periods",
-      content: () => this.heights && contentOf(this.heights, this.phase),
+      content: () => this.heights && contentOf(this.heights),
+      drawMark: (ctx, box) => verticalLine(ctx, box, box.x.pixel(this.phase / TWO_PI), box.theme.cursor),
     });
     this.plot.element.addEventListener("drawn", () => this.#draw());
   }
@@ -123,7 +124,7 @@ function heightsOf(trajectory) {
   return { isBall, phase, periods: periodsOf(trajectory), plate, lower, upper, inFlight, low: low - margin, high: high + margin };
 }
 
-function contentOf(heights, current) {
+function contentOf(heights) {
   const { phase, plate, lower, upper, isBall } = heights;
   const periods = phase.map((value) => value / TWO_PI);
   const points = (box, values) => values.map((value, i) => [box.x.pixel(periods[i]), box.y.pixel(value)]).filter(([, y]) => Number.isFinite(y));
@@ -142,7 +143,6 @@ function contentOf(heights, current) {
         polyline(ctx, box.theme["lower-mass"], 1.6, points(box, lower));
       },
     ],
-    cursor: (ctx, box) => verticalLine(ctx, box, box.x.pixel(current / TWO_PI), box.theme.cursor),
   };
 }
 

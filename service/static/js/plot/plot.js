@@ -1,7 +1,7 @@
 // A plot: layers drawn between axes on one canvas, the cursor on a second one above it.
 
 import { h } from "../lib/dom.js";
-import { number } from "../lib/format.js";
+import { axisText } from "../lib/physics.js";
 import { onThemeChange, theme } from "./colours.js";
 import { clipped, described, pixelRatio, resizedContext } from "./drawing.js";
 import { boxOf, drawFrame, drawHeadings, drawPeriods, drawTexts } from "./frame.js";
@@ -12,14 +12,14 @@ let plots = 0;
 
 /** `content()` returns what to draw, null before anything is loaded:
  *   x: {label, low, high, log, single (value, of its only tick)}, y: {label, low, high, log, periods (mark whole plate periods), isTitled (title names it)},
- *   layers: [(ctx, box) => …], cursor: (ctx, box) => …,
+ *   layers: [(ctx, box) => …],
  *   title, message (shown in the middle of an empty plot), above: {height, draw: (ctx, box) => …}, of strips above the box,
  *   margins: [left, right], in px, where they are those of another plot,
  *   legend: [[name, (ctx, x, y, theme) => draws a symbol 24 px wide, if it has one], …].
- * Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts. */
+ * `drawMark(ctx, box)` draws the cursor. Dispatches "drawn" on its element after each drawing. It follows its size and the theme until `signal` aborts. */
 export class Plot {
-  constructor(root, { label, content, signal, takesInput = true }) {
-    this.content = content;
+  constructor(root, { label, content, drawMark = () => {}, signal, takesInput = true }) {
+    Object.assign(this, { content, drawMark });
     this.canvas = h("canvas", { "aria-hidden": "true" });
     this.cursor = h("canvas", { "aria-hidden": "true", className: "cursor" });
     this.message = h("p", { className: "message" });
@@ -46,7 +46,7 @@ export class Plot {
     this.box = content && this.#paint(ctx, content, pixelRatio());
     if (content) {
       this.texts.replaceChildren(...this.box.texts.flatMap(({ text }) => [h("span", {}, text), " "]));
-      const axis = ({ label, low, high }) => `${label} from ${number(low, 4)} to ${number(high, 4)}`;
+      const axis = ({ label, low, high }) => `${label} from ${axisText(low, [low, high])} to ${axisText(high, [low, high])}`;
       this.axes.textContent = [content.title, axis(content.x), axis(content.y)].filter(Boolean).join(". ");
     }
     this.message.textContent = content?.message ?? "";
@@ -86,8 +86,6 @@ export class Plot {
 
   drawCursor() {
     const ctx = resizedContext(this.cursor, this.canvas.clientWidth, this.canvas.clientHeight);
-    const content = this.content();
-    if (!this.box || !content?.cursor) return;
-    clipped(ctx, this.box, () => content.cursor(ctx, this.box));
+    if (this.box) clipped(ctx, this.box, () => this.drawMark(ctx, this.box));
   }
 }

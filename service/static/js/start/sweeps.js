@@ -146,10 +146,10 @@ export class SweepList {
   #row() {
     let job;
     const box = h("input", { type: "checkbox", onchange: () => this.#select([job], box.checked) });
-    const changePin = async () => {
+    const changePin = async ({ detail: presses }) => { // of a key, none
       const action = job.pinned ? "unpin" : "pin";
       await requestJson(`/v1/jobs/${job.id}/${action}`, { method: "POST" }).finally(() => this.refresh());
-      element.scrollIntoView({ block: "nearest" }); // with the focus, which follows the row
+      if (!presses) element.scrollIntoView({ block: "nearest" }); // with the focus, which follows the row
       announce(`${titleOf(job)} is ${action}ned.`);
     };
     const pin = workButton("", changePin, (error) => this.showError(error), { className: "quiet pin" });

@@ -30,7 +30,7 @@ export class Cycles extends PlotView {
   }
 
   read([result]) {
-    this.branches = readBranches(result);
+    [this.branches, this.isComplete] = [readBranches(result), result.attrs.complete];
     [this.spring, this.maxGamma] = [{ omega: result.omega.data, xi: result.xi.data }, result.attrs.gamma_max];
   }
 
@@ -45,7 +45,7 @@ export class Cycles extends PlotView {
       ...this.scales({ label: AXIS_LABEL.gamma }, FLIGHT_AXIS),
       title: this.textOf(this.spring),
       legend: branchLegend(),
-      message: this.branches.branches.length ? null : "No cycles here",
+      message: this.branches.branches.length ? null : this.isComplete ? "No cycles here" : "Not computed yet",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(this.spring.omega, this.spring.xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
     };
   }

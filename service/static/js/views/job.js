@@ -120,6 +120,8 @@ export class JobView {
     const { path, query } = currentAddress();
     const tabs = this.#tabs();
     const current = tabs[path[2]] ? path[2] : Object.keys(tabs)[0];
+    if (this.tab && this.tab !== current) scrollTo(0, 0); // from a link far below
+    this.tab = current;
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>
       h("a", {
@@ -166,7 +168,7 @@ export class JobView {
     this.cell = cellIn(currentQuery());
     if (this.cell) this.trajectory.show(this.job, this.cell);
     else this.trajectory.hide();
-    [this.view, this.beside].forEach((view) => view?.plot?.redraw());
+    [this.view, this.beside].forEach((view) => view?.plot?.drawCursor());
   }
 
   #closeTrajectory() {

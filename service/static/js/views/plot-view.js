@@ -1,6 +1,6 @@
 // The frame of every plot of results: it loads, follows the address, points, zooms, and downloads.
 
-import { addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
+import { WINDOW, addressValue, currentQuery, navigate, queryChanges, setQuery, windowIn, windowQuery } from "../lib/address.js";
 import { isHandledElsewhere, requestDataset, shared } from "../lib/api.js";
 import { announce, button, copyButton, debounced, downloads, fileName, h, latest, problemLine, resultFiles } from "../lib/dom.js";
 import { AXES, AXIS_LABEL, SYMBOL, axisColumn, axisText, axisValues, clamp, directionsOf, initialValue } from "../lib/physics.js";
@@ -16,6 +16,7 @@ const KEYS = `Arrow keys step through cells, Home and End go to the ends, ${shar
 const ANNOUNCED_MS = 250; // after the last key: a cursor that moves is not read cell by cell
 const GESTURE_MS = 700; // between two turns of the wheel
 const LOG_RANGE = 1000; // the end of a logarithmic axis over its beginning, where the linear one begins at zero
+const PLACE = [...AXES, "cell"]; // parameters which nothing but the cursor depends on, unless they change the paths
 const SYMBOLS = new Set(Object.values(SYMBOL));
 /** The axis of flight times in a plot, with whole plate periods marked. */
 export const FLIGHT_AXIS = { label: "flight time φ (rad)", periods: true };
@@ -147,7 +148,7 @@ export class PlotView {
       ...shown, this.measured?.elements, ...below, this.events?.element, this.table.element,
     ];
     root.replaceChildren(...(this.bar ? [] : [line]), this.problem.element, figure, h("aside", { "aria-label": `Beside: ${label}` }, column));
-    this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? { cursor: (ctx, box) => this.drawCursor(ctx, box), ...this.content() } : null) });
+    this.plot = new Plot(figure, { signal: this.signal, label: `${label}. ${KEYS}`, content: () => (this.isLoaded ? this.content() : null), drawMark: (ctx, box) => this.drawCursor(ctx, box) });
     this.plot.element.addEventListener("drawn", () => { this.lacking.textContent = this.#lacking(); });
     listenToInput(this.plot, {
       hover: (x, y) => this.#point(this.nearest(x, y), x, y),
@@ -160,7 +161,7 @@ export class PlotView {
       scale: (factors, from, to) => this.#scale(factors, from, to),
     });
     this.load = latest((signal) => this.#load(signal));
-    queryChanges.addEventListener("change", () => this.#follow(), { signal: this.signal });
+    queryChanges.addEventListener("change", ({ detail }) => this.#follow(detail), { signal: this.signal });
     onThemeChange(() => this.isLoaded && this.showLegend(), this.signal);
     this.load();
   }
@@ -234,9 +235,12 @@ export class PlotView {
     return { [`${x}_start`]: x0, [`${x}_stop`]: x1, [`${y}_start`]: y0, [`${y}_stop`]: y1 };
   }
 
-  #follow() {
+  /** The parameters with these names have changed. */
+  #follow(changed) {
     this.unzoom.hidden = !this.window;
-    if (this.paths().join() !== this.requested) return this.load();
+    const isDue = this.paths().join() !== this.requested;
+    if (isDue) this.load();
+    if (changed.every((name) => (isDue ? !WINDOW.includes(name) : PLACE.includes(name)))) return; // what is there is zoomed at once
     this.plot.redraw();
     this.#updateAside();
   }
