@@ -2,7 +2,7 @@
 
 import { navigate } from "../lib/address.js";
 import { requestJson } from "../lib/api.js";
-import { debounced, h, problemLine } from "../lib/dom.js";
+import { debounced, fileInput, h, problemLine } from "../lib/dom.js";
 
 const DELAY_MS = 300;
 
@@ -28,14 +28,18 @@ export class PastedSpecification {
     this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
       h("p", { className: "note" }, "JSON, as in “Copy as JSON” and in the details of a job; “bounce submit” takes TOML files too. A file can be dropped anywhere on the page, even a shared sweep."),
+      h("label", { className: "note" }, "Or choose it: ", fileInput(".json,.html", (file) => this.takeFile(file))),
       this.text, this.problem.element);
   }
 
-  /** Take the specification that was dropped, or make the sweep of a shared file a job and open it. */
-  async takeDropped() {
+  takeDropped() {
     const { file } = dropped;
     dropped.file = null;
-    if (!file) return;
+    if (file) this.takeFile(file);
+  }
+
+  /** Take the specification in a file, or make a shared sweep a job and open it. */
+  async takeFile(file) {
     this.element.open = true;
     try {
       if (/\.html?$/i.test(file.name)) return navigate(["job", (await requestJson("/v1/imports", { method: "POST", body: file })).id]);

@@ -52,6 +52,11 @@ export function workButton(title, work, failed, { busy, ...props } = {}) {
   return button;
 }
 
+/** An input of a file, which `take(file)` gets: the same one again too, edited meanwhile. */
+export const fileInput = (accept, take) => h("input", {
+  type: "file", accept, onclick: ({ target }) => { target.value = ""; }, onchange: ({ target }) => target.files.length && take(target.files[0]),
+});
+
 const COPIED_MS = 1500;
 
 /** A button that copies `what`, which `text()` returns, and says so. */

@@ -4,7 +4,7 @@ import { cellQuery, link } from "../lib/address.js";
 import { SERVICE, partsOf, requestDataset, requestJson, shared } from "../lib/api.js";
 import { announce, downloads, h, keepFocus, problemLine, workButton } from "../lib/dom.js";
 import { count, duration, number, plural, share, time } from "../lib/format.js";
-import { axisText, isSweep } from "../lib/physics.js";
+import { axisText, inSymbols, isSweep } from "../lib/physics.js";
 import { table } from "../lib/table.js";
 import { snippets } from "../lib/snippets.js";
 import { wholeStudy } from "./measured.js";
@@ -115,5 +115,5 @@ function changedCells(job, audit) {
     h("ul", {}, cells.map(({ gamma, omega, xi, direction, stored, reference, undecided, set }) => h("li", {},
       h("a", { href: link(["job", job.id, "diagram"], cellQuery({ gamma, omega, xi, direction })) },
         `Γ = ${axisText(gamma, grid.gamma)}, Ω = ${axisText(omega, grid.omega)}, ξ = ${axisText(xi, grid.xi)}`),
-      `: ${stored}, by the reference ${reference}${undecided ? " (undecided)" : ""}${set === "besides" ? "; a hard cell, not counted above" : ""}`))));
+      `: ${inSymbols(stored)}, by the reference ${inSymbols(reference)}${undecided ? " (undecided)" : ""}${set === "besides" ? "; a hard cell, not counted above" : ""}`))));
 }

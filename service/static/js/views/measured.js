@@ -1,7 +1,7 @@
 // Measured points on a plot, as `job.plot(data=…)` has them: a CSV file dropped on the page, drawn above what is computed.
 
 import { requestBlob } from "../lib/api.js";
-import { announce, button, fileName, h, problemLine, resultFiles } from "../lib/dom.js";
+import { announce, button, fileInput, fileName, h, problemLine, resultFiles } from "../lib/dom.js";
 import { count, number, numberIn, plural } from "../lib/format.js";
 import { AXES, SYMBOL, TWO_PI, initialValue, isSweep } from "../lib/physics.js";
 import { polygon, polyline } from "../plot/drawing.js";
@@ -35,9 +35,8 @@ export class MeasuredPoints {
     this.problem = problemLine();
     this.text = h("span", {});
     this.line = h("p", { className: "note measured", role: "status", hidden: true }, this.text, " ", button("remove", () => this.#keep(null), { className: "link" }));
-    const take = ({ target }) => target.files.length && this.take(target.files[0]);
     const about = `A CSV file whose columns are some of ${COLUMNS.join(", ")}, dropped on the page or chosen here: `;
-    const choose = h("label", { className: "note" }, about, h("input", { type: "file", accept: ".csv", onclick: ({ target }) => { target.value = ""; }, onchange: take })); // the same file too, edited
+    const choose = h("label", { className: "note" }, about, fileInput(".csv", (file) => this.take(file)));
     this.elements = [this.problem.element, this.line, h("details", { className: "paged" }, h("summary", {}, "Measured points"), choose)];
     const file = SHARED_FILES.find((shared) => shared.value === value);
     if (file && !kept.has(this.key)) this.take({ ...file, text: () => file.text });
