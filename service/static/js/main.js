@@ -81,7 +81,7 @@ addEventListener("drop", (event) => {
   if (/\.csv$/i.test(file.name)) return takeMeasured(file, event.target);
   if (shared) return; // a specification or a shared file is for the form of a service
   dropped.file = file;
-  if (page?.pasted) page.pasted.takeDropped();
+  if (page?.pasted) page.pasted.takeFile();
   else navigate(["new"]);
 });
 document.addEventListener("visibilitychange", () => document.hidden || page?.refresh?.(false)); // sweeps may have changed meanwhile

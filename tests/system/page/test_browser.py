@@ -662,7 +662,7 @@ def test_a_shared_file_is_the_page_without_a_service(browser: Any, address: str,
         page.get_by_role("heading", name="Sweeps").wait_for()
         page.evaluate(DROP, ["foreign.html", "<html>"])
         page.locator(".problem", has_text="bounce share wrote").wait_for()
-        page.evaluate(DROP, ["sweep.html", file.read_text()])
+        page.get_by_label("Or choose it").set_input_files(file)
         page.wait_for_url(f"**/job/{loop}**")
 
 
@@ -1124,6 +1124,8 @@ def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(showin
     with showing("modes", options={"viewport": {"width": 1920, "height": 1080}}, xi=0.05) as page:
         plot = page.locator(".panel .plot")
         box = plot.bounding_box()
+        page.wait_for_timeout(300)  # the window's size is settled
+        plot.evaluate("plot => plot.addEventListener('drawn', () => { plot.dataset.redrawn = true; })")
         shown = set()
         for part in (0.2, 0.8):
             plot.hover(position={"x": box["width"] / 2, "y": part * box["height"]})
@@ -1132,6 +1134,8 @@ def test_a_wide_screen_shows_the_diagram_under_the_pointer_beside_the_map(showin
                 arg=[*shown, None],
             )
             shown.add(page.locator(".beside .plot").get_attribute("data-shown"))
+        page.wait_for_timeout(300)
+        assert plot.get_attribute("data-redrawn") is None  # only its cursor has moved
         page.locator(".panel").first.get_by_role("button", name="log y").click()
         page.wait_for_url(re.compile("log=y"))  # of the frequency, which the diagram has not
         page.wait_for_timeout(300)

@@ -194,6 +194,10 @@ def test_branches_of_cells_follow_a_sweep_that_runs(
         with opened(browser, f"{address}/#/job/{job['id']}/diagram?along=omega&branches=1") as page:
             page.get_by_text("Not computed yet", exact=True).wait_for()
             wait_for(lambda: page.locator(".closed-form .note").inner_text() == "")
+            orbits = {"omega": 0.8, "xi": 0.05, "protocol": {"kind": "orbits"}, "modes": ["1-1"]}
+            cycles = httpx2.post(f"{address}/v1/jobs", json=orbits, timeout=DEADLINE).json()
+            with opened(browser, f"{address}/#/job/{cycles['id']}/cycles") as other:
+                other.get_by_text("Not computed yet", exact=True).wait_for()
             held.let_go()
             wait_for(lambda: len(branch_pixels(page)) > 200)
 

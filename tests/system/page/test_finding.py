@@ -137,6 +137,10 @@ def test_sweeps_are_found_sorted_pinned_and_deleted(browser: Any, many: str):
         for pressed in ("true", "false"):  # the row moves up and back; the focus stays in sight
             pin.press("Enter")
             page.wait_for_function(IN_SIGHT, arg=pressed)
+        for is_pinned in (True, False):  # by a pointer: the page is not scrolled to the row
+            pin.dispatch_event("click", {"detail": 1})
+            page.locator("#status", has_text=f"number 06 is {'' if is_pinned else 'un'}pinned.").wait_for()
+            assert (pin.bounding_box()["y"] < 0) is is_pinned
         page.get_by_role("button", name="Next page").click()
         page.get_by_text("26 to 30 of 30").wait_for()
         _wait_names(page, *(f"number {n:02}" for n in (4, 3, 2, 1, 0)))
@@ -259,9 +263,11 @@ def test_a_cell_that_an_audit_changes_is_shown_at_its_frequency(browser: Any, ad
     job = done(address, spec_of((2.0, 6.0, 40), [0.5, 1.0], 0.05, window=(3, 6, 8), name="Too short"))
     with opened(browser, f"{address}/#/job/{job}/details") as page:
         page.get_by_role("button", name="Audit this sweep").click()
+        page.locator("#status", has_text="Auditing …").wait_for()
         page.locator("summary", has_text="that changed").click()
-        page.locator("li a", has_text="Ω = 0.5,").first.click()
+        page.locator("li a", has_text="Ω = 0.5,").last.click()
         wait_shown(page, omega=0.5)
+        assert page.evaluate("scrollY") == 0  # the link is far below
 
 
 def _as_python(text: str) -> Any:

@@ -124,7 +124,7 @@ export class SweepForm {
       this.missing.show(missing);
       showProblems(this.form, this.problem, null);
       if (field in this.fields) unfolded(this.fields[field].element.querySelector("[data-field]")).focus();
-      this.pasted.takeDropped();
+      this.pasted.takeFile();
     } catch (error) {
       if (!isOutdated()) this.#showError(error);
     }

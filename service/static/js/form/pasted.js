@@ -28,18 +28,14 @@ export class PastedSpecification {
     this.problem = problemLine();
     this.element = h("details", {}, h("summary", {}, "Paste or drop a specification of any study"),
       h("p", { className: "note" }, "JSON, as in “Copy as JSON” and in the details of a job; “bounce submit” takes TOML files too. A file can be dropped anywhere on the page, even a shared sweep."),
-      h("label", { className: "note" }, "Or choose it: ", fileInput(".json,.html", (file) => this.takeFile(file))),
+      h("label", { className: "note" }, "Or choose it: ", fileInput(".json,.html,.htm", (file) => this.takeFile(file))),
       this.text, this.problem.element);
   }
 
-  takeDropped() {
-    const { file } = dropped;
+  /** Take the specification in a file, which was dropped or is chosen, or make a shared sweep a job and open it. */
+  async takeFile(file = dropped.file) {
     dropped.file = null;
-    if (file) this.takeFile(file);
-  }
-
-  /** Take the specification in a file, or make a shared sweep a job and open it. */
-  async takeFile(file) {
+    if (!file) return;
     this.element.open = true;
     try {
       if (/\.html?$/i.test(file.name)) return navigate(["job", (await requestJson("/v1/imports", { method: "POST", body: file })).id]);

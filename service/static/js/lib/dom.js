@@ -40,10 +40,7 @@ export const button = (title, onclick, attributes) => h("button", { type: "butto
 export function workButton(title, work, failed, { busy, ...props } = {}) {
   const button = h("button", { type: "button", ...props, onclick: async (event) => {
     button.disabled = true;
-    if (busy) {
-      button.textContent = busy;
-      announce(busy);
-    }
+    if (busy) announce((button.textContent = busy));
     await Promise.resolve(event).then(work).catch(failed);
     button.disabled = false;
     if (busy) button.textContent = title;

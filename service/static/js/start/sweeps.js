@@ -4,12 +4,10 @@ import { currentQuery, link, navigate, setQuery } from "../lib/address.js";
 import { deleteJob, query, requestJson } from "../lib/api.js";
 import { announce, button, checkBox, choice, debounced, delayed, h, problemLine, renew, workButton } from "../lib/dom.js";
 import { ago, count, plural } from "../lib/format.js";
-import { JobSummary, MOST_COMPARED, UNFINISHED, titleOf } from "../views/progress.js";
+import { IDLE_POLL_MS, JobSummary, MOST_COMPARED, POLL_MS, UNFINISHED, titleOf } from "../views/progress.js";
 
 const PAGE_SIZE = 25;
 const MAX_PINNED = 100; // shown above the first page too
-const POLL_MS = 700; // while a sweep is being computed
-const IDLE_POLL_MS = 5000;
 const ERROR_MS = 8000; // how long an error is shown
 const TYPING_MS = 250;
 const MAX_NAMED = 5; // sweeps named in a confirmation
@@ -94,10 +92,10 @@ export class SweepList {
 
   showError(error) {
     this.problem.show(error);
-    clearTimeout(this.errorTimer);
-    this.errorTimer = setTimeout(() => this.problem.show(null), ERROR_MS);
+    this.#hideError();
   }
 
+  #hideError = debounced(ERROR_MS, () => this.problem.show(null));
   #refreshAfter = delayed(() => this.refresh());
 
   /** The parameters of a request for jobs, except which page. */

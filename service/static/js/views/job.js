@@ -12,7 +12,7 @@ import { Diagram } from "./diagram.js";
 import { Modes } from "./modes.js";
 import { AttractorDiagram, AttractorMap } from "./multistability.js";
 import { buildFrame, sourceOf } from "./plot-view.js";
-import { ERROR_POLL_MS, JobSummary, POLL_MS, isGoing, settling, titleOf } from "./progress.js";
+import { ERROR_POLL_MS, IDLE_POLL_MS, JobSummary, POLL_MS, isGoing, settling, titleOf } from "./progress.js";
 import { Thresholds } from "./thresholds.js";
 
 const TABS = { __proto__: null, diagram: ["Diagram", Diagram], modes: ["Mode map", Modes], thresholds: ["Thresholds", Thresholds], details: ["Details", Details] };
@@ -24,7 +24,6 @@ const STUDY_TABS = { // by the kind of study; others have their details alone
 const SHARED = [...AXES, "cell", "min", "hide"]; // query parameters that all tabs understand
 const MAPPED_FROM = 8; // values of Γ and of Ω: a sweep of as many opens on its map
 const WIDE = matchMedia("(min-width: 100rem)"); // beside the map there is room for a diagram
-const IDLE_POLL_MS = 5000; // somebody else may resume, rename or delete it
 
 export class JobView {
   constructor(root, { path }, signal) {

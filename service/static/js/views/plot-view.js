@@ -177,11 +177,10 @@ export class PlotView {
     const isPossible = window ? windowIn(query) : this.window;
     if (!isPossible || this.isBeside) return;
     setQuery(query, isStep);
-    this.#announceWindow();
+    this.#announce(this.plot.axes);
   }
 
-  #announce = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.readout.textContent));
-  #announceWindow = debounced(ANNOUNCED_MS, () => this.signal.aborted || announce(this.plot.axes.textContent));
+  #announce = debounced(ANNOUNCED_MS, (element) => this.signal.aborted || announce(element.textContent));
   #updateAside = debounced(ANNOUNCED_MS, () => this.signal.aborted || this.table.update() || !this.isLoaded || this.showLegend());
 
   cellsShown() {
@@ -318,7 +317,7 @@ export class PlotView {
     }
     if (!cell) return;
     this.#point(cell, ...this.at(cell));
-    this.#announce();
+    this.#announce(this.readout);
   }
 
   #select(cell) {

@@ -10,7 +10,7 @@ export const UNFINISHED = new Set(["queued", "running"]);
 /** Whether a job, or the budget that it is a level of, goes on. */
 export const isGoing = ({ state, budget }) => UNFINISHED.has(state) || (budget ? !budget.over : false);
 export const RESUMABLE = new Set(["failed", "cancelled"]);
-export const [POLL_MS, ERROR_POLL_MS] = [1000, 3000]; // of a page of sweeps
+export const [POLL_MS, ERROR_POLL_MS, IDLE_POLL_MS] = [1000, 3000, 5000]; // of a page of sweeps, while idle too: somebody else may change them
 export const MOST_COMPARED = 6; // sweeps: more cannot be told apart by colour
 const MAX_LISTED = 4; // values of an axis
 const PARAMETER = { restitution: "e", penetration: "d", rest_length: "Λ" };
