@@ -6,6 +6,7 @@ rebound the cycles of one mode lie on several branches: besides cycles that stic
 hops that never do, whose cycle of one flight has a closed form too.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import islice, pairwise, takewhile
@@ -104,28 +105,33 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
     """
     followed: list[Followed] = []
     outside: list[Point] = []
+    ways: list[Followed] = []
     cut: list[Followed] = []
 
     def joins(point: Point) -> bool:
         """Whether a branch that was cut off passes through a cycle."""
         return any(lies_on(point, line) for line in followed if _cut(line))
 
+    def arrives(point: Point) -> bool:
+        return within(point, span) or any(lies_on(point, way) for way in ways)
+
     for seed in cycles:
         if not within(seed, span):
             outside.append(seed)
         elif not any(lies_on(seed, line) for line in followed):
             followed.append(both_ways(seed, span, points, joins))
-    ways: list[Followed] = []
     for seed in outside:
-        if any(lies_on(seed, way) for way in ways):
+        if arrives(seed):
             continue
         reach = min(span[0], seed.parameter), max(span[1], seed.parameter)
         way = span[0] - seed.parameter
-        ways.append(follow(seed, way, points=_WAY, span=reach, until=lambda point: within(point, span)))
-        first = ways[-1].points[-1]
-        if within(first, span) and not any(lies_on(first, line) for line in followed):
+        line = follow(seed, way, points=_WAY, span=reach, until=arrives)
+        first = line.points[-1]
+        if within(first, span) and not any(lies_on(first, other) for other in followed):
             followed.append(both_ways(first, span, points, joins))
-        cut += [Followed([first], _cut(ways[-1]))] if _cut(ways[-1]) else []
+        cut += [Followed([first], _cut(line))] if _cut(line) else []
+        if not math.isclose(first.parameter, seed.parameter):  # else it goes on beyond its seed
+            ways.append(line)
     return followed + cut
 
 

@@ -252,7 +252,8 @@ def _located(kinds: Sequence[Kind], a: Point, b: Point) -> list[Event]:
         test = partial(crossing, kind)
         around = min(abs(test(a)), abs(test(b)))
         # Newton's method may fail before it comes to the event; `any_contact` ends branches at folds
-        for first, last in ((a, b), (b.back(), a))[: 1 if kind is Kind.FOLD else 2]:
+        once = kind is Kind.FOLD or not test(a) * test(b) < 0.0
+        for first, last in ((a, b),) if once else ((a, b), (b.back(), a)):
             point = root(first, _reach(first, last), test) if test(first) != 0.0 else first
             if point is not None and happens(kind, point, around):
                 point = point if first is a else point.back()

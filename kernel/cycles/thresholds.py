@@ -65,7 +65,8 @@ class Thresholds(NamedTuple):
 
     def contradicted(self, bouncing: float) -> "Thresholds":
         """The same, unresolved: a simulation bounces at this Gamma below `down`."""
-        reason = f"bounces at Gamma = {bouncing:.10g}, as no cycle that was followed"
+        bounces = f"bounces at Gamma = {bouncing:.10g}, as no cycle that was followed"
+        reason = "; ".join(filter(None, [bounces, self.cut]))
         return self._replace(down=math.nan, cause=UNRESOLVED, reason=reason, fold=None)
 
 

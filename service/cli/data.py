@@ -43,7 +43,7 @@ def restore(file: Path, data: str | None) -> None:
     from service.ledger import backup as backups
 
     settings = _settings(data)
-    check_marker = partial(opening.own_marker, settings)
+    check_marker = partial(opening.own_marker, settings, then=", restore again")
     (jobs, chunks), replaced = backups.restore(settings.ledger_path, file, check_marker)
     click.echo(f"{settings.ledger_path}: {plural(jobs, 'job')}, {plural(chunks, 'done chunk')}")
     if replaced is not None:

@@ -300,9 +300,10 @@ def _checked(response: httpx2.Response) -> httpx2.Response:
         return response
     if status < 400:
         rule = ", not as a bounce service does"
-        if "Location" in answered:  # a query may be secret
-            target = request.url.join(answered["Location"]).copy_with(query=None, fragment=None)
-            rule = f" and sends on to {target}: if the service is there, give its address"
+        with suppress(KeyError, httpx2.InvalidURL):
+            target = request.url.join(answered["Location"])
+            shown = target.copy_with(userinfo=b"", query=None, fragment=None)  # the rest may be secret
+            rule = f" and sends on to {shown}: if the service is there, give its address"
         raise UnexpectedAnswer(f"{request.url} answered {status}{rule}")
     answer = f"{status} {response.reason_phrase}"
     if status == HTTPStatus.BAD_GATEWAY:  # as without the proxy

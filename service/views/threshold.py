@@ -55,7 +55,7 @@ MAX_PREDICTION_SECONDS: Final = 200.0
 MAX_SEARCH_SECONDS: Final = 1_000.0
 
 #: Bytes per omega in an answer, with statuses as text.
-_PER_OMEGA: Final = 1_000
+_PER_OMEGA: Final = 3_000
 
 _ROWS: Final = (
     row("analytic", (), "<f8", "threshold Γ from rest by Eq. 25", comment="NaN: rest never ends, or a ball"),

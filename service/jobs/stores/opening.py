@@ -93,22 +93,23 @@ class StoresMarker:
         self._checked = time.monotonic()
 
 
-def own_marker(settings: Settings, ours: str, made: bool) -> str | None:
+def own_marker(settings: Settings, ours: str, made: bool, then: str = "") -> str | None:
     """The stores' marker; None if it is missing. Raises LedgerUnusable for another's, OSError, Unreachable.
 
     ours, made: of the ledger, `ReadTransaction.marker`. One that has marked none takes its data folder's.
+    then: what to do before `bounce adopt`, if that data folder is gone.
     """
     marker = store.read_marker(settings.stores_url)
     if marker not in (None, "", ours) and (made or settings.stores is not None):
-        raise LedgerUnusable(_foreign(str(marker)))
+        raise LedgerUnusable(_foreign(str(marker), then))
     return marker
 
 
-def _foreign(marker: str) -> str:
+def _foreign(marker: str, then: str = "") -> str:
     return (
         f"the stores are another data folder's: {store.MARKER} beside them names the ledger "
         f"{marker[:32]!a}; set BOUNCE_STORES to another folder, or, if that data folder is gone for "
-        f"good, remove {store.MARKER} and run bounce adopt --all"
+        f"good, remove {store.MARKER}{then} and run bounce adopt --all"
     )
 
 

@@ -104,7 +104,9 @@ def compute(study: None, query: CurvesQuery, *parts: Curves) -> xarray.Dataset:
     top = query.gamma_max
     pieces = [piece for part in parts for curve in part.curves for piece in below(curve, top)]
     data = padded((along, "gamma", "flight_time", "violations"), pieces, ("curve", "point"))
-    data |= event_columns(join_events([rows_of(x.points, x.points.gamma <= top) for x in parts]))
+    events = join_events([part.points for part in parts])
+    # a branch may be cut off on its way to `top`
+    data |= event_columns(rows_of(events, (events.gamma <= top) | (events.kind == End.CUT_OFF)))
     names = ("kind", "bounces", "periods")
     coords = columns("curve", {name: [getattr(piece, name)[0] for piece in pieces] for name in names})
     other = "xi" if along is Parameter.OMEGA else "omega"

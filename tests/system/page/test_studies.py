@@ -162,7 +162,7 @@ def test_the_diagram_shows_all_attractors_and_one_of_them_moves(browser: Any, ad
         assert [entry.split(":")[0] for entry in entries] == line.attractor.astype(str).values.tolist()
         events = page.locator(".paged tbody tr").all_inner_texts()
         assert len(events) == line.sizes["event"]
-        assert any(re.search(r"birth of \(1, 1\)\t\d", event) for event in events)
+        assert any(re.search(r"birth of \(1,\s1\)\t\d", event) for event in events)
 
         page.locator(".panel .plot").focus()
         page.keyboard.press("ArrowRight")

@@ -119,7 +119,7 @@ export class JobView {
     const { path, query } = currentAddress();
     const tabs = this.#tabs();
     const current = tabs[path[2]] ? path[2] : Object.keys(tabs)[0];
-    if (this.tab && this.tab !== current) scrollTo(0, 0); // from a link far below
+    if (this.tab === "details" && current !== this.tab) scrollTo(0, 0); // from a link far below
     this.tab = current;
     const target = (tab, parameters) => link(["job", this.id, tab], Object.fromEntries(SHARED.map((name) => [name, parameters[name]])));
     this.tabs.replaceChildren(...Object.entries(tabs).map(([tab, [title]]) =>

@@ -81,12 +81,16 @@ export class Modes extends PlaneView {
     const thinned = every > 1 ? `Shown: 1 in ${every} Γ and Ω. ${shared ? "" : "Zoom in for more detail. "}` : "";
     const adaptive = `Adaptive map: ${share(computed, 2)} of the cells were computed; the others have the mode of their block${this.color === "mode" ? "" : " and |μ| of a computed neighbour"}. `
       + `Filling gives up to ${hasSpring(this.job) ? "0.7 %" : "half"} of a map’s cells another mode.`;
-    this.note.textContent = thinned + (this.isAdaptive ? adaptive : this.#hysteresisText());
+    this.note.textContent = thinned + (!this.isAdaptive ? this.#hysteresisText() : this.isPreview ? "" : adaptive);
+  }
+
+  get #isEmpty() {
+    return this.classes.present.every(({ id }) => id === OUTCOME.missing);
   }
 
   #hysteresisText() {
     const { hysteresis } = this.cells;
-    if (!hysteresis) return "";
+    if (!hysteresis || this.#isEmpty) return "";
     const parts = sharesAt(this.indicesInWindow(), hysteresis);
     const [mode, flights] = [parts[HYSTERESIS.mode], parts[HYSTERESIS.flights]];
     if (!mode && !flights) return "Up and down agree in every cell shown that both have reached.";
@@ -98,7 +102,7 @@ export class Modes extends PlaneView {
   whole = () => windowOf(this.source.grid.gamma, this.source.grid.omega, true);
 
   content() {
-    const [{ present }, { x0, x1, y0, y1 }] = [this.classes, this.visible()];
+    const { x0, x1, y0, y1 } = this.visible();
     const isCrossed = Array.from({ length: 2001 }, (_, i) => threshold(y0 + (i * (y1 - y0)) / 2000, this.xi)).some((gamma) => gamma >= x0 && gamma <= x1);
     return {
       ...this.scales(this.axisOf("gamma"), this.axisOf("omega")),
@@ -109,7 +113,7 @@ export class Modes extends PlaneView {
           .map(([kind, name]) => [name, (...at) => hatchSymbol(...at, kind === "mode")]),
         ...(hasSpring(this.job) && isCrossed ? [["threshold, Eq. 25", (ctx, x, y, theme) => legendLine(ctx, theme.text, 1.8, x, y, CURVE_DASH)]] : []),
       ],
-      message: present.length === 1 && present[0].id === OUTCOME.missing ? "No cell is computed yet" : null,
+      message: this.#isEmpty ? "No cell is computed yet" : null,
       layers: [(ctx, box) => this.#drawModes(ctx, box), (ctx, box) => hasSpring(this.job) && drawThresholdCurve(ctx, box, this.xi)],
     };
   }

@@ -239,7 +239,7 @@ export class PlotView {
     this.unzoom.hidden = !this.window;
     const isDue = this.paths().join() !== this.requested;
     if (isDue) this.load();
-    if (changed.every((name) => (isDue ? !WINDOW.includes(name) : PLACE.includes(name)))) return; // what is there is zoomed at once
+    if (changed.length && changed.every((name) => (isDue ? !WINDOW.includes(name) : PLACE.includes(name)))) return; // what is there is zoomed at once
     this.plot.redraw();
     this.#updateAside();
   }

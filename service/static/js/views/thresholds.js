@@ -139,7 +139,7 @@ export class Thresholds extends PlotView {
     return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), ...this.common({ xi: this.xi }), value("Eq. 25", "analytic", gammaText),
       ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
-      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("difference")] : [])];
+      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("reason"), text("difference")] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */

@@ -88,9 +88,8 @@ def test_a_family_without_a_stable_cycle_near_those_of_the_closed_form(omega):
 
 
 def test_a_branch_far_from_the_cycles_of_the_closed_form_beside_one_near_them():
-    *_, line = branches(soft(0.7, 0.01), 0.975, 0.0643, 1, span=(0.2, 2.0), points=1_200)
-    assert max(point.parameter for point in line.points) == pytest.approx(2.0)
-    assert not cut_off([line])
+    lines = branches(soft(0.7, 0.01), 0.975, 0.0643, 1, span=(0.2, 2.0), points=500)
+    assert [max(point.parameter for point in line.points) > 1.9 for line in lines] == [False, True]
 
 
 def test_a_branch_where_no_cycle_of_the_closed_form_is_stable():
