@@ -32,6 +32,10 @@ TERMS: Final = 24
 _CRITICAL: Final = 0.25
 _CRITICAL_TERMS: Final = 9
 
+#: From this discriminant over the stiffness on an integral of a flight is the sum of two exponentials': its
+#: other terms nearly cancel beside a stiff dashpot.
+_STIFF: Final = 10.0
+
 
 class Spring(NamedTuple):
     """The constants of a spring under a plate of frequency Omega (docs/model.md, section 3)."""
@@ -124,7 +128,13 @@ def flight(k: Spring, t: Array) -> Flight:
     b, w = k.dashpot, k.stiffness
     f = free(b, 2.0 * w, t)
     s_int = f.versine / (2.0 * w)
-    s_int2 = (t - f.s - 2.0 * b * s_int) / (2.0 * w)
+    d = b * b - 2.0 * w
+    if np.real(d) < _STIFF * np.real(w):
+        s_int2 = (t - f.s - 2.0 * b * s_int) / (2.0 * w)
+    else:
+        root = np.sqrt(d)
+        fast = b + root
+        s_int2 = t * t * (_curved(-2.0 * w / fast * t) - _curved(-fast * t)) / (2.0 * root)
     s_rest, s_int_rest = f.s - t, s_int - 0.5 * t * t
     near = np.real(t) * max(np.sqrt(2.0 * abs(w)), 2.0 * abs(b)) < SERIES_BELOW
     if near.any():
@@ -140,6 +150,16 @@ def flight(k: Spring, t: Array) -> Flight:
     if near.any():
         sin_rest[near], cos_rest[near] = _summed(t[near], 3, _CIRCULAR_SERIES)
     return Flight(f, s_int, s_int2, s_rest, s_int_rest, sin_rest, cos_rest, versine, sin, cos)
+
+
+def _curved(x: Array) -> Array:
+    """(exp(x) - 1 - x)/x**2, Re x <= 0."""
+    near = np.real(x) > -SERIES_BELOW
+    small, large = np.where(near, x, 0.0), np.where(near, -1.0, x)
+    series = np.zeros_like(x)
+    for n in range(TERMS, 1, -1):
+        series = (1.0 + small * series) / n
+    return np.where(near, series, (np.expm1(large) - large) / (large * large))
 
 
 @lru_cache(maxsize=64)

@@ -31,7 +31,7 @@ _BRANCH_SECONDS: Final = 3e-3
 _GRAZING_SECONDS: Final = 0.25
 
 #: Above this xi + xi/omega the dashpot is so strong that branches graze by rounding.
-_STIFF: Final = 300.0
+_STIFF: Final = 10_000.0
 
 
 def prediction_seconds(omega: float, xi: float) -> float:

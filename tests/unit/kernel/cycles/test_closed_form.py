@@ -59,13 +59,16 @@ def test_balance_along_whole_branches(omega, xi):
 
 
 @for_each(("omega", "xi"), SPRINGS + EXTREME)
-@for_each(("periods", "flight_time"), [(1, 0.9), (1, 4.0), (2, 11.8)])
+@for_each(("periods", "flight_time"), [(1, 1e-5), (1, 0.9), (2, 11.8)])
 def test_the_four_conditions(omega, xi, periods, flight_time):
     """Against their solution by matrix exponentials of 50 digits."""
     x = orbit(spring(omega, xi), periods, np.array([flight_time]))
     expected = dense_branches.takeoff(omega, xi, periods, flight_time)
-    rounding = 1e-14 * float(np.hypot(*expected[2:]))
-    assert [x.q0[0], x.v0[0], x.c[0], x.s[0]] == pytest.approx(expected, rel=1e-13, abs=rounding)
+    gamma = float(np.hypot(*expected[2:]))
+    assert np.hypot(x.c, x.s)[0] == pytest.approx(gamma, rel=1e-13)
+    if flight_time > 0.1:  # shorter ones have small phases beside strong dampers
+        found = [x.q0[0], x.v0[0], x.c[0], x.s[0]]
+        assert found == pytest.approx(expected, rel=1e-13, abs=1e-14 * gamma)
 
 
 @for_each(("omega", "xi"), SPRINGS)
