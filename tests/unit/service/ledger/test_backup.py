@@ -159,10 +159,14 @@ def test_a_backup_of_another_data_folder_is_refused_before_anything_is_replaced(
     for name in ("one", "other"):
         open_ledger(Settings(data=tmp_path / name)).close()
     backup.backup(tmp_path / "one" / "ledger.sqlite", tmp_path / "of one")
-    before = files(tmp_path / "other")
-    answer = bounce("restore", str(tmp_path / "of one"), "--data", str(tmp_path / "other"))
+    before, data = files(tmp_path / "other"), ["--data", str(tmp_path / "other")]
+    answer = bounce("restore", str(tmp_path / "of one"), *data)
     assert (answer.exit_code, "the stores are another data folder's" in answer.output) == (1, True)
+    assert "remove .ledger, restore again and run bounce adopt --all" in answer.output
     assert files(tmp_path / "other") == before
+    (tmp_path / "other" / "stores" / ".ledger").unlink()
+    assert bounce("restore", str(tmp_path / "of one"), *data).exit_code == 0
+    assert bounce("adopt", "--all", *data).exit_code == 0
 
 
 def test_what_is_no_ledger_is_not_restored(folder: Path):
