@@ -19,11 +19,12 @@ import hashlib
 import os
 import pickle
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import CodeType
-from typing import Any, Final
+from typing import IO, Any, Final
 
 from numba import types
 from numba.core import typed_passes as typed
@@ -69,6 +70,10 @@ OUTLINED: Final[set[Callable[..., Any]]] = set()
 
 #: Objects of earlier compilations that are worth a collection, which takes as long as a small function.
 _MANY: Final = 300_000
+
+#: Seconds that a process waits for another one that compiles the same, and seconds between two looks.
+WAIT_SECONDS: Final = 60.0
+LOOK_SECONDS: Final = 0.05
 
 #: LLVM's levels of optimisation, one after the other: 2 before 2, or 3, makes kernels no faster.
 _SPEED_LEVELS: Final = (1, 2)
@@ -424,13 +429,16 @@ class _EntryCache:
 
     @contextmanager
     def locked(self, arguments: tuple[Any, ...]) -> Iterator[None]:
-        """One process at a time compiles a signature; others wait, and find it in the cache."""
+        """One process at a time compiles a signature; others wait, and find it in the cache.
+
+        One that waits longer than WAIT_SECONDS compiles it too: the other process may be suspended.
+        """
         path = self._path(arguments)
         with ExitStack() as stack:
             with suppress(OSError):  # a disk that is read-only, or without locks: compiled more than once
                 if path is not None:
                     lock = stack.enter_context(Path(f"{path}.lock").open("a"))
-                    fcntl.flock(lock, fcntl.LOCK_EX)
+                    _lock(lock, time.monotonic() + WAIT_SECONDS)
             yield
 
     def _path(self, sig: Any) -> Path | None:
@@ -441,6 +449,17 @@ class _EntryCache:
             return None
         identity = hashlib.sha256(f"{self._name} {module} {arguments}".encode()).hexdigest()[:12]
         return folder / f"{self.described(arguments).replace(' ', '-')}-{identity}"
+
+
+def _lock(file: IO[str], deadline: float) -> None:
+    """Lock a file. Raises BlockingIOError if another process still has it at the deadline, and OSError."""
+    while True:
+        try:
+            return fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= deadline:
+                raise
+        time.sleep(LOOK_SECONDS)
 
 
 def _module(arguments: tuple[Any, ...]) -> str:

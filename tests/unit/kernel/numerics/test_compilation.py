@@ -3,6 +3,7 @@
 These tests fail where numba has changed what `kernel.numerics.compilation` rests on.
 """
 
+import fcntl
 import threading
 from pathlib import Path
 from typing import Any
@@ -84,6 +85,18 @@ def test_threads_that_need_the_same_entry_compile_it_once(folder, monkeypatch):
     for thread in threads:
         thread.join()
     assert len(compiled) == 1
+
+
+def test_a_process_that_is_suspended_while_it_compiles_keeps_no_other_from_it(folder, monkeypatch):
+    monkeypatch.setattr(compilation, "WAIT_SECONDS", 0.1)
+    entry(quadrupled)(2.0)
+    [lock] = folder.glob("*.lock")
+    for name in codes(folder):
+        (folder / name).unlink()
+    with lock.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert entry(quadrupled)(2.0) == 8.0
+    assert len(codes(folder)) == 2
 
 
 def test_a_compilation_tells_how_long_it_took_the_last_time(monkeypatch: pytest.MonkeyPatch):
