@@ -3,13 +3,13 @@
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from typing import Final, NamedTuple
 
-import httpx2
-
 from service.cli.options import plural
+from service.client.errors import Refused, ServiceUnreachable
+from service.client.transport import Transport, json_object
 from service.errors import DataFolderBusy, LedgerUnusable, UnknownJob
 from service.jobs.prepare import JobPreparer
 from service.jobs.stores.opening import open_ledger
@@ -24,6 +24,7 @@ from service.software import software
 from worker import store
 from worker.kernel_cache import default_root
 from worker.ownership import NotOurs, check_unshared
+from worker.spec.errors import BounceError
 
 #: Bytes of free disk space below which jobs may soon fail.
 FREE_BYTES: Final = 1 << 30
@@ -182,11 +183,11 @@ def _verify(preparer: JobPreparer, ledger: Ledger | str, job: JobRecord, done: l
 
 def _service(url: str) -> Finding:
     try:
-        answer = httpx2.get(f"{url}/readyz", timeout=5.0, trust_env=False)
-        document = answer.json()
-    except (httpx2.HTTPError, ValueError) as error:
-        return Finding("service", f"none at {url} ({error})")
-    if answer.status_code != 200:
-        return Finding("service", f"{url} is not ready: {document.get('detail')}", ok=False)
+        with closing(Transport(url, None, timeout=5.0)) as service:
+            document = json_object(service.get("/readyz"))
+    except Refused as error:
+        return Finding("service", f"{url} is not ready: {error}", ok=False)
+    except BounceError as error:
+        return Finding("service", str(error), ok=type(error) is ServiceUnreachable)
     notices = "; ".join(document.get("notices", []))
     return Finding("service", f"{url} is ready{': ' if notices else ''}{notices}", not notices)

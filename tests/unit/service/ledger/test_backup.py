@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from answering import Answer, scripted
 from click.testing import CliRunner, Result
 from scripted import Held, Scripted, free_port, sweep, wait_for
 from served import running
@@ -155,7 +156,9 @@ def test_nothing_is_restored_under_a_running_service(folder: Path):
             assert len(ledger.stores()) == 3
 
 
-def test_a_backup_of_another_data_folder_is_refused_before_anything_is_replaced(tmp_path: Path):
+def test_a_backup_of_another_data_folder_is_refused_before_anything_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     for name in ("one", "other"):
         open_ledger(Settings(data=tmp_path / name)).close()
     backup.backup(tmp_path / "one" / "ledger.sqlite", tmp_path / "of one")
@@ -163,6 +166,11 @@ def test_a_backup_of_another_data_folder_is_refused_before_anything_is_replaced(
     answer = bounce("restore", str(tmp_path / "of one"), *data)
     assert (answer.exit_code, "the stores are another data folder's" in answer.output) == (1, True)
     assert "remove .ledger, restore again and run bounce adopt --all" in answer.output
+    assert files(tmp_path / "other") == before
+    with monkeypatch.context() as patch:
+        patch.setenv("BOUNCE_STORES", str(tmp_path / ("x" * 300)))  # they cannot be read
+        answer = bounce("restore", str(tmp_path / "of one"), *data)
+    assert (answer.exit_code, "/.ledger: File name too long" in answer.output) == (1, True)
     assert files(tmp_path / "other") == before
     (tmp_path / "other" / "stores" / ".ledger").unlink()
     assert bounce("restore", str(tmp_path / "of one"), *data).exit_code == 0
@@ -222,9 +230,12 @@ def test_the_doctor_names_what_needs_attention(folder: Path):
     answer = bounce("doctor", "--data", str(data), "--url", url)
     assert answer.exit_code == 0, answer.output
     assert "3 jobs" in answer.output
-    assert f"none at {url} ([" in answer.output
+    assert f"no service answers at {url} ([" in answer.output
     assert "!!" not in answer.output
     assert "copies beside it" not in answer.output
+    with scripted(Answer(302, b"<html>", Location="/login")) as (_, client):
+        answer = bounce("doctor", "--data", str(data), "--url", client.url)
+    assert (answer.exit_code, f" sends on to {client.url}/login" in answer.output) == (1, True)
     assert f"service           none on {data}" in bounce("doctor", "--data", str(data)).output
     lost = next((data / "stores").glob("*.zarr"))
     lost.rename(folder / lost.name)
