@@ -199,7 +199,8 @@ class JobManager:
                 ledger.update(job, cancel_requested=True)
             elif job.state is not JobState.CANCELLED:
                 rule = "only a queued or running job can be cancelled"
-                raise IllegalTransition(f"the job is {job.state}: {rule}")
+                successor = "" if job.replaced_by is None else f"; job {job.replaced_by} computes it anew"
+                raise IllegalTransition(f"the job is {job.state}: {rule}{successor}")
             record = _existing(ledger, job_id)
         self.supervisor.wake()
         return record

@@ -90,6 +90,8 @@ def test_the_interrupted_job_ends_and_another_computes_all_of_it(folder: Path):
         begun = f"kernel version 1 began it, this release computes {KERNEL_VERSION}"
         assert old["error"] == f"{begun}: job {old['replaced_by']} computes all of it anew"
         assert old["notice"] == f"{NOTICE}, as job {old['replaced_by']}"
+        refused = client.post(f"{INTERRUPTED}/cancel").json()["detail"]
+        assert refused.endswith(f"can be cancelled; job {old['replaced_by']} computes it anew")
         assert read(client, f"{INTERRUPTED}/diagram", omega=0.56, xi=0.05, direction="up").bounces.any()
         here = f"/v1/jobs/{old['replaced_by']}"
         wait_for(lambda: bool(get(client, here)["state"] == "done"))
