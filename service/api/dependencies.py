@@ -97,7 +97,8 @@ def tag(request: Request, *facts: object, weak: bool = False, headers: Any = Non
 
 def _results_job(job: JobDep, service: ServiceDep, request: Request) -> JobRecord:
     """The job; tags the response if its results are final."""
-    jobs = [job, *(find_job(other, service) for other in request.query_params.getlist("other"))]
+    others = map(service.ledger.find, request.query_params.getlist("other"))
+    jobs = [job, *filter(None, others)]  # the endpoint refuses others
     if all(read.state is JobState.DONE for read in jobs):
         # with the version these determine an answer
         facts = [(read.id, read.seq, read.created, read.name, service.audit_of(read)) for read in jobs]

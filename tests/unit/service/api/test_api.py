@@ -48,13 +48,12 @@ def test_an_unchanged_job_answers_304(client: TestClient, figure_2: str):
     assert client.get(figure_2, headers={"If-None-Match": '"other"'}).status_code == 200
 
 
-def test_calls_without_parameters_refuse_any_but_probes_and_links_may_have_some(
-    client: TestClient, figure_2: str
-):
-    for method, path in (("GET", "/v1/software"), ("GET", "/v1/figures"), ("POST", f"{figure_2}/pin")):
-        answer = client.request(method, path, params={"x": 1})
+def test_unknown_parameters_are_refused_but_probes_and_links_may_have_some(client: TestClient, figure_2: str):
+    diagram = ("GET", f"{figure_2}/diagram")
+    for method, path in (("GET", "/v1/software"), diagram, ("POST", f"{figure_2}/pin")):
+        answer = client.request(method, path, params={"other": 1})
         (problem,) = answer.json()["errors"]
-        assert (answer.status_code, problem["field"], problem["code"]) == (422, "x", "unknown")
+        assert (answer.status_code, problem["field"], problem["code"]) == (422, "other", "unknown")
     for path in ("/", "/healthz", "/metrics"):
         assert client.get(path, params={"x": 1}).status_code == 200
 
