@@ -118,7 +118,7 @@ def run(
     from service import local
 
     if output == "-":
-        rule = 'must be a file: what is computed is kept beside it; "bounce diagram ID -o -" streams'
+        rule = 'must be a file: what is computed is kept beside it; "bounce diagram ID --format csv" streams'
         raise click.BadParameter(rule, param_hint="'-o'")
     format = output_format(output, _RUN_FORMATS, format)
     query = {name: value for name, value in query.items() if value is not None}
