@@ -226,6 +226,9 @@ def _message(error: Exception) -> str | None:
         return str(error)
     if isinstance(error, ModuleNotFoundError) and (missing := missing_library(error)):
         return missing
+    # where little memory is left, a compiled library cannot be loaded
+    if isinstance(error, MemoryError) or str(getattr(error, "path", "")).endswith(".so"):
+        return f"not enough memory, or a broken installation: {error or 'MemoryError'}"
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)
         path = error.filename2 or error.filename  # the target of a renaming
