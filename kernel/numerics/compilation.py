@@ -72,7 +72,7 @@ OUTLINED: Final[set[Callable[..., Any]]] = set()
 _MANY: Final = 300_000
 
 #: Seconds that a process waits for another one that compiles the same, and seconds between two looks.
-WAIT_SECONDS: Final = 60.0
+WAIT_SECONDS: Final = 120.0
 LOOK_SECONDS: Final = 0.05
 
 #: LLVM's levels of optimisation, one after the other: 2 before 2, or 3, makes kernels no faster.
@@ -452,13 +452,11 @@ class _EntryCache:
 
 
 def _lock(file: IO[str], deadline: float) -> None:
-    """Lock a file. Raises BlockingIOError if another process still has it at the deadline, and OSError."""
-    while True:
-        try:
-            return fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            if time.monotonic() >= deadline:
-                raise
+    """Lock a file, unless another process has it until the deadline. Raises OSError."""
+    while time.monotonic() < deadline:
+        with suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
         time.sleep(LOOK_SECONDS)
 
 

@@ -74,8 +74,6 @@ def adopt(stores: tuple[str, ...], every: bool, data: str | None) -> None:
     if bool(stores) == every:
         raise click.UsageError("name the stores to adopt, or give --all")
     settings, refused = _settings(data), 0
-    if not settings.data.is_dir():
-        raise click.BadParameter(f"there is no folder {settings.data}", param_hint="'--data'")
     if not settings.ledger_path.exists() and not opening.has_stores(settings):
         rule = f"{settings.data} has neither a ledger nor stores: it is not the data folder of a service"
         raise click.BadParameter(rule, param_hint="'--data'")
