@@ -1237,8 +1237,11 @@ def test_on_paper_nothing_is_cut_off_or_covered(browser: Any, address: str, loop
         plot, canvas = page.locator(".panel .plot"), page.locator(".panel .plot canvas").first
         canvas.evaluate("canvas => { canvas.style.height = '2000px'; }")  # of a drawing for the screen
         assert canvas.bounding_box() == plot.bounding_box()
-        assert all(page.locator(f".panel .{name}").first.is_hidden() for name in ("downloads", "cursor"))
+        unprinted = (".downloads", ".cursor", ".tabs", "select", ".slider", ".actions")
+        assert all(page.locator(name).first.is_hidden() for name in unprinted)
+        page.emulate_media(media="screen")
         open_tab(page, "Details")
+        page.emulate_media(media="print")
         shown, clipped = page.locator("pre").first.evaluate(height)
         assert shown == clipped
 
