@@ -17,7 +17,7 @@ const GRID = Object.fromEntries(AXES.map((axis) => [axis, range(...EXPLORED[axis
 const START = { gamma: 2.3, omega: 0.5, xi: 0.26 }; // Fig. 2b
 const LONGEST = 6; // plate periods of a cycle
 const SPRING = { job: { name: "spring", spec: { protocol: { kind: "spring" } } }, number: 1, directions: [], grid: GRID };
-const HINT = "Cycles of one bounce; dots: the flights of the motion shown. Point at a branch to read it, press to start on it.";
+const HINT = "Dots: the flights of the motion shown. Point at a branch to read it, press to start on it.";
 const CONTACTS = [["ideal", "ideal plate"], "rigid", "soft"];
 /** The parameters of each contact that can be typed, with their defaults. */
 const TYPED = { ideal: {}, rigid: { restitution: 0.3 }, soft: { restitution: 0.01, penetration: 0.001 } };

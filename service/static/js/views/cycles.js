@@ -31,7 +31,7 @@ export class Cycles extends PlotView {
 
   read([result]) {
     [this.branches, this.isComplete] = [readBranches(result), result.attrs.complete];
-    [this.spring, this.maxGamma] = [{ omega: result.omega.data, xi: result.xi.data }, result.attrs.gamma_max];
+    [this.spring, this.maxGamma, this.contact] = [{ omega: result.omega.data, xi: result.xi.data }, result.attrs.gamma_max, result.attrs.model];
   }
 
   /** The flight of a cycle (1, k) is hardly longer than k plate periods. */
@@ -43,7 +43,7 @@ export class Cycles extends PlotView {
   content() {
     return {
       ...this.scales({ label: AXIS_LABEL.gamma }, FLIGHT_AXIS),
-      title: this.textOf(this.spring),
+      title: `${this.textOf(this.spring)},   ${this.contact}`,
       legend: branchLegend(),
       message: this.branches.branches.length ? null : this.isComplete ? "No cycles here" : "Not computed yet",
       layers: [(ctx, box) => drawThreshold(ctx, box, this.restEnds ?? threshold(this.spring.omega, this.spring.xi)), (ctx, box) => drawBranches(ctx, box, this.branches)],
@@ -62,7 +62,7 @@ export class Cycles extends PlotView {
   cellsShown = () => this.branches.branches.flat().filter(({ gamma, flight_time: time, violations }) => !violations && this.isVisible(gamma, time));
 
   #columns(...digits) {
-    return [["Γ", ({ gamma }, whole) => exact(gamma, whole, digits[0])], ...this.common(this.spring),
+    return [["Γ", ({ gamma }, whole) => exact(gamma, whole, digits[0])], ...this.common(this.spring), ["contact", () => this.contact, true],
       ["cycle", ({ bounces, periods }) => `(${bounces}, ${periods})`], ["φ (rad)", ({ flight_time: time }, whole) => exact(time, whole, digits[1])]];
   }
 
