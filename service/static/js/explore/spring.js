@@ -3,7 +3,7 @@
 import { cellIn, cellQuery, currentQuery, link, queryChanges, setQuery } from "../lib/address.js";
 import { query } from "../lib/api.js";
 import { choice, h, latest } from "../lib/dom.js";
-import { number } from "../lib/format.js";
+import { number, plural } from "../lib/format.js";
 import { AXES, EXPLORED, SYMBOL, clamp, contactQuery, inSymbols, isClose, startOf, threshold } from "../lib/physics.js";
 import { disc, verticalLine } from "../plot/drawing.js";
 import { TrajectoryPanel } from "../motion/panel.js";
@@ -59,7 +59,7 @@ export class Explore extends Cycles {
       this.showChoices();
     };
     const contact = choice("Contact", CONTACTS, "", changeContact);
-    const modes = range(1, LONGEST, 1).map((periods) => [periods, `(1, ${periods})`]);
+    const modes = range(1, LONGEST, 1).map((periods) => [periods, plural(periods, "period")]);
     const cycles = choice("Cycles up to", modes, "", (periods) => setQuery({ periods }));
     this.showChoices = () => {
       [contact.control.value, cycles.control.value] = [contactName(), longest()];

@@ -151,11 +151,10 @@ export class ClassLegend {
       view.showLegend();
       view.draw();
     };
-    const parts = sharesAt(view.indicesInWindow(), ofCell);
-    const shares = present.map((shown) => ({ ...shown, part: parts[shown.id] }));
-    const entries = shares.filter(({ part }) => part).map(({ id, name, part }) => legendEntry(modeColour(id, dark), h("button", {
+    const shares = sharesAt(view.indicesInWindow(), ofCell);
+    const entries = present.filter(({ id }) => shares[id]).map(({ id, name }) => legendEntry(modeColour(id, dark), h("button", {
       type: "button", className: "link", "aria-pressed": String(!hidden.has(id)), title: "Hide or show", onclick: () => toggle(id),
-    }, name), " ", h("small", {}, share(part, 2))));
+    }, name), " ", h("small", {}, share(shares[id], 2))));
     keepFocus(this.element, () => this.element.replaceChildren(...entries));
   }
 

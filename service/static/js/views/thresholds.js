@@ -135,11 +135,11 @@ export class Thresholds extends PlotView {
   columnsOfTable() {
     const gammaText = (gamma) => axisText(gamma, this.grid.gamma);
     const value = (title, name, text, otherwise = () => "") => [title, ({ row }, whole) => (Number.isFinite(row[name]) ? (whole ? String : text)(row[name]) : otherwise(row))];
-    const text = (name) => [name, ({ row }) => inSymbols(row[name] ?? "")];
+    const text = (name, isLong) => [name, ({ row }) => inSymbols(row[name] ?? ""), isLong];
     return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), ...this.common({ xi: this.xi }), value("Eq. 25", "analytic", gammaText),
       ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
       // Where the closed form says that bouncing ends, and why the sweep differs.
-      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("reason"), text("difference")] : [])];
+      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("reason", true), text("difference", true)] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
