@@ -381,7 +381,7 @@ def test_the_difference_of_two_lines_has_one_frequency(browser: Any, address: st
 
 def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
     with opened(browser, f"{address}/#/explore") as page:
-        page.locator(".plot[data-shown]").first.wait_for()
+        page.locator(".plot[data-shown] .texts", has_text="rigid, restitution 0").wait_for(state="attached")
         page.get_by_text("Bouncing does not persist below").wait_for()
         page.locator(".player[data-phase]").wait_for()
         page.get_by_text(re.compile(r"\d+ points? of \d+ pairs of flights")).wait_for()
@@ -411,10 +411,8 @@ def test_a_spring_is_explored_without_a_sweep(browser: Any, address: str):
         page.locator(".trajectory .readout", has_text=f"flight time {flight}").wait_for()
         page.get_by_label("Cycles up to").select_option("1")
         wait_for(lambda: 0 < rows.count() < len(events))
-        page.locator(".plot .texts", has_text="rigid, restitution 0").wait_for(state="attached")
         page.get_by_label("Contact").select_option("soft")
         page.locator(".closed", has_text="Bouncing does not persist below Γ = 0.55").wait_for()
-        page.locator(".plot .texts", has_text="soft, restitution 0.01, penetration 0.001").wait_for(state="attached")
         page.wait_for_url(re.compile("contact=soft"))
         depth = page.get_by_label("depth")
         assert depth.input_value() == "0.001"

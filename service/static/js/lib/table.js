@@ -43,7 +43,7 @@ export class PagedTable {
     this.first = Math.max(0, Math.min(this.first + turn, Math.ceil(length / PAGE) * PAGE - PAGE));
     const last = Math.min(this.first + PAGE, length);
     keepFocus(this.body, () => this.body.replaceChildren(table(this.label, columns.map(([title]) => title), items.slice(this.first, last).map((item) => columns.map(([, text]) => text(item))))));
-    this.range.textContent = length ? `${count(this.first + 1)} to ${count(last)} of ${count(length)}` : "no rows";
+    this.range.textContent = length ? `${count(this.first + 1)} to ${count(last)} of ${count(length)}` : all.length ? "no rows" : "not loaded yet";
     this.previous.hidden = !this.first;
     this.next.hidden = last === length;
     if (turn) [this.next, this.previous].find((other) => !other.hidden && (turn > 0 ? this.next : this.previous).hidden)?.focus();
