@@ -136,6 +136,7 @@ class BounceAccessor:
         along, value = "omega", "gamma" if "analytic" in dataset else None
         if is_line:
             along, value = pictures.along_of(dataset), "flight_time"
+        _check_branches(branches, along if is_line else None, selected)
         points = None if data is None or value is None else measured(data, along, value, selected, frequency)
         ax = ax if ax is not None else _new_axes()
         if "analytic" in dataset:
@@ -151,8 +152,7 @@ class BounceAccessor:
             pictures.draw_diagram(ax, dataset, longest)
             ax.set_title(pictures.values_at(dataset, [axis for axis in pictures.AXES if axis != along]))
             if branches is not None:
-                _check_spring(branches, selected)
-                pictures.draw_branches(ax, branches)
+                pictures.draw_branches(ax, branches, along)
         elif "branch" in dataset.dims and "outcome" not in dataset:
             pictures.draw_cycles(ax, dataset)
         elif dims == {"gamma", "omega"}:
@@ -188,12 +188,20 @@ class BounceAccessor:
 xarray.register_dataset_accessor("bounce")(BounceAccessor)  # type: ignore[no-untyped-call]
 
 
-def _check_spring(branches: xarray.Dataset, values: dict[str, float]) -> None:
-    """Raise BounceError if branches are of another spring than a diagram."""
-    for axis in values.keys() & branches.coords.keys():
-        own = branches[axis].values
-        if not np.allclose(own, values[axis], rtol=1e-9, atol=0.0):
-            raise BounceError(f"branches: are of {axis} {own.flat[0]:g}, the diagram of {values[axis]:g}")
+def _check_branches(branches: Any, along: str | None, values: Mapping[str, float]) -> None:
+    """Raise BounceError unless they are None, or of the spring of a diagram, along its axis."""
+    if branches is None:
+        return
+    if along is None:
+        raise BounceError("branches: are drawn over a diagram")
+    if not isinstance(branches, xarray.Dataset) or "branch" not in branches.dims:
+        raise BounceError("branches: must be a Dataset of orbits")
+    if (own := branches.attrs.get("along", "gamma")) != along:
+        raise BounceError(f"branches: are along {own}, the diagram along {along}")
+    for axis in values.keys() & set(branches.variables):
+        given = branches[axis].values.ravel()[:1]
+        if not np.allclose(given, values[axis], rtol=1e-9, atol=0.0):
+            raise BounceError(f"branches: are of {axis} {given[0]:g}, the diagram of {values[axis]:g}")
 
 
 def _selected(dataset: xarray.Dataset, where: dict[str, float | str]) -> xarray.Dataset:
