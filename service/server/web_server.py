@@ -5,6 +5,7 @@ import logging
 import math
 import resource
 import socket
+import sys
 from collections.abc import Callable
 from concurrent.futures import Future
 from http import HTTPStatus
@@ -144,9 +145,10 @@ class Limited(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """Called by uvicorn, with its own text, for bytes that are not a request."""
-        self.transport.write(
-            _answer(HTTPStatus.BAD_REQUEST, "the request is not HTTP/1.1, or its head is too long")
-        )
+        fault = f"the request is not HTTP/1.1 ({sys.exception()})"
+        rule = f"{fault}: its address is percent-encoded, its head short"
+        _LOG.warning("answered 400: %s", rule)
+        self.transport.write(_answer(HTTPStatus.BAD_REQUEST, rule))
         self.transport.close()
 
     @property
