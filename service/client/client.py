@@ -320,7 +320,7 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
 
         Raises
         ------
-        InvalidSpecification, BadRequest, Busy
+        BadRequest, Busy
         """
         from service.client.dataset import from_binary
 

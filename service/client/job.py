@@ -133,7 +133,7 @@ class Job(ResultReader, ResultMethods, JobStatus):
         return self._post("unpin")
 
     def rename(self, name: str) -> "Job":
-        """Give the job another name; its id and its numbers stay. Raises InvalidSpecification."""
+        """Give the job another name; its id and its numbers stay. Raises BadRequest."""
         return self._post("rename", body({"name": name}))
 
     def resume(self) -> "Job":
