@@ -192,10 +192,8 @@ def _check_branches(branches: Any, along: str | None, values: Mapping[str, float
     """Raise BounceError unless they are None, or of the spring of a diagram, along its axis."""
     if branches is None:
         return
-    if along is None:
-        raise BounceError("branches: are drawn over a diagram")
-    if not isinstance(branches, xarray.Dataset) or "branch" not in branches.dims:
-        raise BounceError("branches: must be a Dataset of orbits")
+    if along is None or not isinstance(branches, xarray.Dataset) or "branch" not in branches.dims:
+        raise BounceError("branches: are a Dataset of orbits, drawn over a diagram")
     if (own := branches.attrs.get("along", "gamma")) != along:
         raise BounceError(f"branches: are along {own}, the diagram along {along}")
     for axis in values.keys() & set(branches.variables):

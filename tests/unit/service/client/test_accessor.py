@@ -84,9 +84,9 @@ def test_branches_are_drawn_over_a_line_if_they_are_given(sweep: xarray.Dataset)
         line.bounce.plot(ax=Figure().subplots(), branches=branches.assign_coords(omega=0.7))
     with pytest.raises(BounceError, match="branches: are along omega, the diagram along gamma"):
         line.bounce.plot(ax=Figure().subplots(), branches=branches.assign_attrs(along="omega"))
-    for kind in (sweep.sel(direction="down"), branches):
-        with pytest.raises(BounceError, match="branches: are drawn over a diagram"):
-            kind.bounce.plot(ax=Figure().subplots(), branches=branches)
+    for kind, given in ((sweep.sel(direction="down"), branches), (branches, branches), (line, True)):
+        with pytest.raises(BounceError, match="branches: are a Dataset of orbits, drawn over a diagram"):
+            kind.bounce.plot(ax=Figure().subplots(), branches=given)
     with pytest.raises(BounceError, match="data: is drawn over a diagram or thresholds"):
         branches.bounce.plot(ax=Figure().subplots(), data={"gamma": [0.6], "flight_time": [1.0]})
 
