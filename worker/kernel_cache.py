@@ -64,8 +64,7 @@ def _temporary_root() -> Path:
     root = folders.enter_context(temporary_folder("bouncing-spring-"))
     atexit.register(folders.close)
     os.environ[_VARIABLE] = str(root)
-    # its own would stay where the process ends at once
-    os.environ.setdefault("MPLCONFIGDIR", str(root / "matplotlib"))
+    os.environ.setdefault("MPLCONFIGDIR", str(root / "matplotlib"))  # its own would stay after `os._exit`
     return root
 
 
