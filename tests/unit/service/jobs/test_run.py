@@ -79,6 +79,9 @@ def test_other_jobs_delay_a_job_but_do_not_slow_it_down(monkeypatch: pytest.Monk
     run = JobRun(
         cast(Any, job), cast(Any, SimpleNamespace(plan=REST, cost=cost)), np.zeros(6, bool), cast(Any, None)
     )
+    assert run.seconds_left(3, ahead=30.0) == 2 * 2.0 + 30.0 / 3  # by the table of costs
+    now[0], run.delayed = 11.0, 10.0
+    assert run.seconds_left(3) == 2 * 2.0 - 1.0
     for chunk, at, delayed in ((0, 2.0, 0.0), (1, 4.0, 0.0), (2, 26.0, 20.0)):
         now[0], run.delayed = at, delayed
         run.unsaved_reports.append(ChunkReport(chunk, 10, 2.0, 2.0, ()))
