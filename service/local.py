@@ -430,7 +430,7 @@ def _check_folder(ledger: Ledger, spec: Any, folder: Path, *, levels: bool) -> N
     def belongs(other: Any) -> bool:
         if levels and isinstance(spec, SweepSpec) and isinstance(other, SweepSpec):
             return steps_of(spec, other) is not None
-        return bool(other == spec)
+        return bool(other.canonical() == spec.canonical())
 
     with ledger.reading() as reading:
         others = [job for job in reading.search() if not belongs(renewed(job.spec))]
