@@ -68,10 +68,9 @@ class Budgets:
                     raise Busy(f"{MOST} budgets go on already, which is the limit")
                 known = next((old.steps for old in same if old.answer), None)
                 budget = Budget(self, spec, seconds, owner, known)
-                over = [budget for budget in self._budgets if budget.over]
                 # without a thread it would count as one that goes on
                 threading.Thread(target=budget.run, name="budget", daemon=True).start()
-                self._budgets = [budget, *going, *over][:KEPT]
+                self._budgets = [budget, *sorted(self._budgets, key=lambda old: old.over)][:KEPT]
         job, accepted = budget.first.result()
         return Submission(job, accepted and joined is None), budget
 

@@ -275,17 +275,16 @@ class JobRun:
         number of workers, else None, as without workers.
         """
         now = time.monotonic()
-        own = now - self.delayed
-        self._times.note(self.unsaved_reports, own)
+        self._times.note(self.unsaved_reports, now - self.delayed)
         to_come = ~self.queue.done
         to_come[[report.index for report in self.unsaved_reports]] = False
         at_once = max(min(workers, self.prepared.plan.lines), 1)
         self._since = {chunk: self._since.get(chunk, now) for chunk in [*self.in_flight][:at_once]}
         elapsed = {chunk: now - since + 1e-3 * self._sliced[chunk] for chunk, since in self._since.items()}
-        left = self._times.left(to_come, own, at_once, elapsed)
+        left = self._times.left(to_come, now - self.delayed, at_once, elapsed)
         in_a_row = -(-self._to_come // at_once)
         if left is None and workers and in_a_row <= FEW:
-            taken = max(own - self._began, 0.0)
+            taken = max(now - self.delayed - self._began, 0.0)
             left = max(in_a_row * self._times.by_table - taken, taken * LEAST_LEFT)
         return None if left is None else left + ahead / max(workers, 1)
 

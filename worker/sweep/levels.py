@@ -43,8 +43,7 @@ def level(spec: SweepSpec, steps: Steps) -> SweepSpec:
 
 def steps_of(spec: SweepSpec, other: SweepSpec) -> Steps | None:
     """The steps with which another sweep is a level of this one; None if it is none."""
-    whole = other.model_copy(update={axis: getattr(spec, axis) for axis in AXES})
-    if whole.canonical() != spec.canonical():
+    if other.model_copy(update={axis: getattr(spec, axis) for axis in AXES}).canonical() != spec.canonical():
         return None
     steps = [_step_of(spec.axis_values(axis), other.axis_values(axis)) for axis in AXES]
     return tuple(step for step in steps if step) if all(steps) else None
