@@ -71,7 +71,7 @@ def plan(
 def candidates(
     settings: Sequence[Setting], shares: Sequence[Share], budget: float | None, tolerance: float | None
 ) -> list[int]:
-    """The indices of the cheapest settings within budget and tolerance, the cheapest first.
+    """The indices of the cheapest settings within budget and tolerance, the cheapest first, and the surest.
 
     If there is no tolerance, or no setting keeps it: all within the budget that are not surely worse than
     another of them, so that the best is found by numbers of one sample. If no setting keeps the budget: the
@@ -81,7 +81,8 @@ def candidates(
     fitting = [i for i in by_cost if budget is None or settings[i].seconds <= budget]
     held = [i for i in fitting if tolerance is not None and shares[i].high <= tolerance]
     best = min((shares[i].high for i in fitting), default=0.0)
-    return held[:CANDIDATES] or [i for i in fitting if shares[i].low <= best] or by_cost[:1]
+    surest = [min(held[CANDIDATES - 1 :], key=lambda i: shares[i].high)] if len(held) >= CANDIDATES else []
+    return held[: CANDIDATES - 1] + surest or [i for i in fitting if shares[i].low <= best] or by_cost[:1]
 
 
 def recommended(chosen: Sequence[int], shares: Sequence[Share], tolerance: float | None) -> int:

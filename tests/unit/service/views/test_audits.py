@@ -306,6 +306,9 @@ def test_a_recommended_setting_keeps_to_budget_and_tolerance_together():
     shares = [Share(100, share, 0.0, share) for share in (0.01, 0.02, 0.3)]
     limits = [(6.0, 0.05), (6.0, None), (None, 0.5), (6.0, 0.001), (0.5, 0.05)]
     assert [candidates(settings, shares, *each) for each in limits] == [[1], [2, 1], [2, 1, 0], [2, 1], [2]]
+    many = [Setting(None, WHOLE, seconds, 1, "draft") for seconds in range(7)]
+    highs = (0.04, 0.03, 0.04, 0.03, 0.01, 0.02, 0.3)
+    assert candidates(many, [Share(100, 0.0, 0.0, high) for high in highs], None, 0.05) == [0, 1, 2, 4]
     tolerances = (0.5, 0.05, 0.001, None)
     assert [recommended([2, 1, 0], shares, tolerance) for tolerance in tolerances] == [2, 1, 0, 0]
 
