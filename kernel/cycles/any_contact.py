@@ -108,10 +108,6 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
     ways: list[Followed] = []
     cut: list[Followed] = []
 
-    def joins(point: Point) -> bool:
-        """Whether a branch that was cut off passes through a cycle."""
-        return any(lies_on(point, line) for line in followed if _cut(line))
-
     def arrives(point: Point) -> bool:
         return within(point, span) or any(lies_on(point, way) for way in ways)
 
@@ -119,7 +115,7 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
         if not within(seed, span):
             outside.append(seed)
         elif not any(lies_on(seed, line) for line in followed):
-            followed.append(both_ways(seed, span, points, joins))
+            followed.append(both_ways(seed, span, points, partial(joins, followed)))
     for seed in outside:
         if arrives(seed):
             continue
@@ -128,11 +124,16 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
         line = follow(seed, way, points=_WAY, span=reach, until=arrives)
         first = line.points[-1]
         if within(first, span) and not any(lies_on(first, other) for other in followed):
-            followed.append(both_ways(first, span, points, joins))
+            followed.append(both_ways(first, span, points, partial(joins, followed)))
         cut += [Followed([first], _cut(line))] if _cut(line) else []
         if not math.isclose(first.parameter, seed.parameter):  # else it goes on beyond its seed
             ways.append(line)
     return followed + cut
+
+
+def joins(lines: list[Followed], point: Point) -> bool:
+    """Whether a branch that was cut off passes through a cycle."""
+    return any(lies_on(point, line) for line in lines if _cut(line))
 
 
 def _cut(line: Followed) -> list[Event]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import zip_longest
 from typing import Any, Final, NamedTuple
 
@@ -15,6 +16,7 @@ from kernel.cycles.any_contact import (
     cycles_at_cell,
     event_record,
     is_doubled,
+    joins,
     lies_on,
     record,
     turned,
@@ -151,29 +153,24 @@ def follow_cells(
     longest first. The shortest cycles are followed first. A cell whose cycle lies on a followed branch is
     left out. Raises a `store.StoreError`.
     """
-    followed: list[tuple[Point, Followed]] = []  # the first cycle of each branch, and the branch
+    kept: list[Followed] = []
     skipped: list[Skipped] = []
-    cells = [cell for line in lines for cell in settled_cells(spec, url, along, line, complete)]
-    for settled in sorted(cells, key=lambda settled: settled.periods):
-        if not span[0] <= getattr(settled.cell, along) <= span[1]:
-            continue
+    cells = (cell for line in lines for cell in settled_cells(spec, url, along, line, complete))
+    inside = [settled for settled in cells if span[0] <= getattr(settled.cell, along) <= span[1]]
+    for settled in sorted(inside, key=lambda settled: settled.periods):
         if settled.periods > MAX_PERIODS:
             skipped.append(settled.skipped(f"cycles of up to {MAX_PERIODS} plate periods are followed"))
             continue
         seed = settled.cycle(spec, along)
         if seed is None:
             skipped.append(settled.skipped("no cycle was found beside its state"))
-        elif any(lies_on(seed, line) for _, line in followed):
+        elif any(lies_on(seed, line) for line in kept):
             continue
-        elif len(followed) == MAX_BRANCHES:
+        elif len(kept) == MAX_BRANCHES:
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
-            new = both_ways(seed, span, POINTS)
-            # an earlier branch that was cut off is a part of the new one
-            followed = [(other, line) for other, line in followed if not lies_on(other, new)]
-            followed.append((seed, new))
-    own, micro_flight = [line for _, line in followed], spec.micro_flight
-    return _recorded(own, span, POINTS, twice, flights=True, micro_flight=micro_flight, skipped=skipped)
+            kept.append(both_ways(seed, span, POINTS, partial(joins, kept)))
+    return _recorded(kept, span, POINTS, twice, flights=True, micro_flight=spec.micro_flight, skipped=skipped)
 
 
 def own_cycle(
