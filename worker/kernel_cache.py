@@ -64,7 +64,6 @@ def _temporary_root() -> Path:
     root = folders.enter_context(temporary_folder("bouncing-spring-"))
     atexit.register(folders.close)
     os.environ[_VARIABLE] = str(root)
-    os.environ.setdefault("MPLCONFIGDIR", str(root / "matplotlib"))  # its own would stay after `os._exit`
     return root
 
 

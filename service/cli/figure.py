@@ -104,17 +104,17 @@ def tradeoff(output: str | None) -> None:
 
     Computes a fixed set of cells, extreme ones included, one after another in this process: some minutes.
     """
-    from worker.kernel_cache import use_cache
-
-    use_cache()
     from service.cli.views import table
     from service.client.display import display_elapsed
     from service.figures import tradeoff
     from service.views.encode import check_format
     from service.views.registry import encoded
+    from worker.kernel_cache import use_cache
 
     if output:
-        check_format(format := options.output_format(output, tradeoff.VIEW.formats))
+        format = options.output_format(output, tradeoff.VIEW.formats)
+        check_format(format)
+    use_cache()
     measured = [0]
     with display_elapsed(lambda: f"measured {measured[-1]} of {len(tradeoff.SETTINGS)} contacts"):
         results = tradeoff.measure(tradeoff.SETTINGS, measured.append)

@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -50,21 +48,6 @@ def test_the_root_comes_from_the_environment(variables, expected, monkeypatch):
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     assert kernel_cache.default_root() == expected
-
-
-def test_without_a_home_no_folder_stays_where_a_process_ends_at_once(tmp_path: Path):
-    """Not of matplotlib either."""
-    code = (
-        "import os; from worker import kernel_cache, ownership; "
-        "kernel_cache._cache_folder(kernel_cache.default_root()); "
-        "import matplotlib; assert os.listdir(os.environ['TMPDIR']); "
-        "ownership.remove_temporary_folders(); os._exit(0)"
-    )
-    kept = {name: os.environ[name] for name in os.environ.keys() - {"NUMBA_CACHE_DIR", "MPLCONFIGDIR"}}
-    nowhere = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"), "/proc/nowhere")
-    environment = {**kept, **nowhere, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("inner", ["", "*", "*/run"])
