@@ -226,9 +226,10 @@ def _message(error: Exception) -> str | None:
         return str(error)
     if isinstance(error, ModuleNotFoundError) and (missing := missing_library(error)):
         return missing
-    # where little memory is left, a compiled library cannot be loaded
-    if isinstance(error, MemoryError) or str(getattr(error, "path", "")).endswith(".so"):
-        return f"not enough memory, or a broken installation: {error or 'MemoryError'}"
+    if isinstance(error, MemoryError):
+        return f"not enough memory: {error}" if str(error) else "not enough memory"
+    if isinstance(error, ImportError) and str(error.path).endswith(".so"):
+        return f"a library cannot be loaded, for lack of memory or because it is broken: {error}"
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)
         path = error.filename2 or error.filename  # the target of a renaming

@@ -197,7 +197,7 @@ def _check_branches(branches: Any, along: str | None, values: Mapping[str, float
     if (own := branches.attrs.get("along", "gamma")) != along:
         raise BounceError(f"branches: are along {own}, the diagram along {along}")
     for axis in values.keys() & set(branches.variables):
-        given = branches[axis].values.ravel()[:1]
+        given = branches[axis].values[np.isfinite(branches[axis].values)][:1]
         if not np.allclose(given, values[axis], rtol=1e-9, atol=0.0):
             raise BounceError(f"branches: are of {axis} {given[0]:g}, the diagram of {values[axis]:g}")
 

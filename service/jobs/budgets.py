@@ -47,7 +47,7 @@ class Budgets:
         self.manager, self.ledger, self.audit, self.changed = manager, ledger, audit, changed
         self.stopping = threading.Event()
         self._lock = threading.Lock()
-        self._budgets: list[Budget] = []  # the last begun first
+        self._budgets: list[Budget] = []  # those that go on, the last begun first; then the others
         self.own = set[str]()  # ids of jobs that only budgets asked for, and so may cancel
 
     def begin(self, spec: Any, seconds: float, owner: str | None) -> "tuple[Submission, Budget]":

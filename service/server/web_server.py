@@ -145,8 +145,8 @@ class Limited(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """Called by uvicorn, with its own text, for bytes that are not a request."""
-        rule = f"this is not HTTP/1.1 ({sys.exception()}): percent-encode its address, shorten its head"
-        _LOG.warning("answered 400: %s", rule)
+        fault = str(sys.exception()).partition(":")[0]  # then h11 quotes the client, perhaps its token
+        rule = f"the request is not HTTP/1.1 with a percent-encoded address and a short head: {fault}"
         self.transport.write(_answer(HTTPStatus.BAD_REQUEST, rule))
         self.transport.close()
 

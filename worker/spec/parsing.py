@@ -59,7 +59,7 @@ def read_json(text: str | bytes) -> object:
     except json.JSONDecodeError as error:
         if not decoded.strip():
             raise _unreadable("the text is empty") from None
-        rule = "" if decoded.lstrip()[:1] == "{" else "; JSON begins with {, bounce submit reads TOML files"
+        rule = "" if decoded.lstrip()[:1] == "{" else "; JSON begins with {; TOML is read by bounce submit"
         raise _unreadable(_syntax("JSON", decoded, error.lineno, error.colno) + rule) from None
     except RecursionError:
         raise _unreadable("the JSON is nested too deeply; a specification needs two levels") from None

@@ -278,6 +278,7 @@ def _as_python(text: str) -> Any:
 def test_sweeps_are_compared_with_linked_axes(browser: Any, address: str, jobs: list[str]):
     with opened(browser, address) as page:
         page.get_by_label("Find", exact=True).fill("sweep 0")
+        wait_for(lambda: page.get_by_label(re.compile(r"^Select sweep")).count() == 3)
         for xi in (0.05, 0.1, 0.2):
             page.get_by_label(f"Select sweep {xi}").check()
         page.get_by_role("button", name="Compare").click()

@@ -87,8 +87,8 @@ export const LABEL_NAMES = ["missing", "periodic", "aperiodic", "at_rest", "unre
 const LABEL_TEXTS = ["not computed yet", "", "aperiodic", "at rest on the plate", "unresolved", "diverged", "still settling", "quasi-periodic", "chaotic", "unstable cycle"];
 export const outcomeText = (code, bounces, periods) => (code === OUTCOME.periodic ? `mode (${bounces}, ${periods})` : LABEL_TEXTS[code]);
 export const modeText = ({ outcome, label = outcome, bounces, periods }, cell) => outcomeText(label[cell], bounces[cell], periods[cell]);
-/** A sentence or a mode of the service, "fold (1,2) at Gamma = 0.9", in the page's spelling and digits. */
-export const inSymbols = (text) => text.replace(/(?<=\(\d+),(?=\d)/g, ", ").replace(/\b(gamma|omega|xi)\b/gi, (axis) => SYMBOL[axis.toLowerCase()]).replace(/\b\d+\.\d{6,}\b/g, (digits) => number(Number(digits), 6));
+/** A sentence or a mode of the service, "fold (1,2) at Gamma = 0.9", in the page's spelling. */
+export const inSymbols = (text) => text.replace(/(?<=\(\d+),(?=\d)/g, ", ").replace(/\b(gamma|omega|xi)\b/gi, (axis) => SYMBOL[axis.toLowerCase()]);
 /** "0.496 ± 0.05": the largest Lyapunov exponent, with its standard error where it has one. */
 export const exponentText = (exponent, error) => `${number(exponent, 3)}${Number.isFinite(error) ? ` ± ${number(error, 2)}` : ""}`;
 /** The largest Lyapunov exponent of a cell of a result: the first of as many as each cell has. */

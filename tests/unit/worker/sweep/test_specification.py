@@ -373,7 +373,10 @@ UNREADABLE = [
     (b"", "the text is empty"),
     (b'{"gamma": 0,4}', "the text is not JSON at line 1, column 13: a number has a decimal point, no comma"),
     (b'{"gamma": 1,}', "the text is not JSON at line 1, column 1"),
-    (b"gamma = 1", "the text is not JSON at line 1, column 1; JSON begins with {, bounce submit reads TOML"),
+    (
+        b"gamma = 1",
+        "the text is not JSON at line 1, column 1; JSON begins with {; TOML is read by bounce submit",
+    ),
     (b"\xff", "the text is not UTF-8 at byte 0"),
     (b'{"gamma": NaN}', "NaN is not a number in JSON; leave the value out or give a finite one"),
     (b'{"gamma": -Infinity}', "-Infinity is not a number in JSON"),
