@@ -77,7 +77,7 @@ def test_what_proves_is_loaded_by_proofs_only():
     assert "flint" not in loaded_by(answers)
 
 
-@pytest.mark.parametrize("name", ["service.py", "worker/__init__.py", "kernel/notes.txt"])
+@pytest.mark.parametrize("name", ["service.py", "worker/__init__.py"])
 def test_a_package_of_the_same_name_is_said_in_one_line(name: str, tmp_path: Path):
     file = tmp_path / name
     file.parent.mkdir(exist_ok=True)
@@ -88,3 +88,9 @@ def test_a_package_of_the_same_name_is_said_in_one_line(name: str, tmp_path: Pat
     )  # fmt: skip
     said = done.stderr.splitlines()[-1]
     assert f"hides the package {name.partition('.')[0].partition('/')[0]} of bouncing-spring" in said
+
+
+def test_a_folder_of_the_same_name_hides_nothing(tmp_path: Path):
+    for name in ("service", "worker", "kernel"):
+        (tmp_path / name).mkdir()
+    subprocess.run([sys.executable, "-c", "import bouncing_spring"], cwd=tmp_path, check=True)
