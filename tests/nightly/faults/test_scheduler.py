@@ -103,7 +103,7 @@ def test_lost_schedulers_leave_no_connections(scheduler: tuple[Restarted, str]):
         before = psutil.Process().num_fds()
         for _ in range(6):
             restarted.process.kill()
-            wait_for(lambda: not executor.state().connected)
+            wait_for(lambda: executor.state().workers == 0, seconds=90)
             wait_for(lambda: executor.state().workers == 2, seconds=90)
         wait_for(lambda: psutil.Process().num_fds() <= before + 2, seconds=30)
 
