@@ -1,18 +1,22 @@
 """A data folder with results of kernel version 1: they are read, none is continued.
 
-The folder holds two jobs that are done and one that was stopped after 3 of its 12 chunks.
+The folder holds two jobs that are done and one that was stopped after 3 of its 12 chunks. The last release
+itself wrote another.
 """
 
+import json
 import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
 import xarray
 from earlier_kernel import IDS, earlier_folder
+from paths import GOLDEN
 from scripted import Held, Scripted, wait_for
 from served import get, read, service
 from stores import files
@@ -42,6 +46,22 @@ def change_ledger(folder: Path, statement: str, *values: Any) -> None:
 
 
 # At the start
+
+
+def test_the_folder_of_the_last_release_is_read_and_its_last_job_starts_anew(tmp_path: Path):
+    """Its service was killed during the last of its four jobs; answers.json has what it answered before."""
+    with ZipFile(GOLDEN / "data-0.2.0.zip") as archive:
+        archive.extractall(tmp_path)
+    answers = json.loads((tmp_path / "answers.json").read_text())
+    with service(tmp_path / "data", Held()) as client:
+        for id, (query, view, values) in ((id, answer.values()) for id, answer in answers.items()):
+            result = read(client, f"/v1/jobs/{id}/{view}", **query)
+            for name, value in values.items():
+                kept = result[name].values[np.isfinite(result[name].values)]
+                assert kept.tolist() == np.hstack(value).tolist(), (id, name)
+        jobs = {job["id"]: job for job in get(client, "/v1/jobs")["jobs"]}
+        [unfinished] = [job for job in jobs.values() if job["state"] == "failed"]
+        assert jobs.keys() == {*answers, unfinished["id"], unfinished["replaced_by"]}
 
 
 def test_the_done_job_is_read_as_it_was_written(folder: Path):
