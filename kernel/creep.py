@@ -129,23 +129,32 @@ def _lasting(plate: Any, steps: list[Crept], gone: float) -> Crept | None:
 def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
     """The rotation of a settled motion, in a state (6,) at phase 0, around an unstable cycle; None if none.
 
-    The number is a weighted mean of the turns; its error is thrice the change from a half of them. Newton's
-    method seeks the cycle from the motion's mean state and from some of its states.
+    The number is a weighted mean of the turns after _LONG more plate periods; its error is thrice the change
+    from before, or from a half of them. Newton's method seeks the cycle from the motion's mean state and from
+    some of its states.
     """
+    later = run(plate, np.array([cell.gamma]), cell.omega, cell.xi, state[None], _LONG, 1).end_state[0]
     for periods in range(1, _AROUND + 1):
-        states = _strobed(plate, cell, state, periods, _ROUNDS)
+        before, states = (_strobed(plate, cell, start, periods, _ROUNDS) for start in (state, later))
         for guess in (states.mean(axis=0).round(15), *states[:_GUESSES]):
             around = cycle_from(plate, cell, periods, guess)
             if around is None or around.multipliers[0].imag == 0.0 or repeats(around):
                 continue
-            turns = np.diff(np.angle(_on_plane(plate, cell, around, states))) / TWO_PI
-            turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
-            number = _mean(turns)
-            change = max(abs(number - _mean(half)) for half in np.array_split(turns, 2))
-            number = abs(number - round(number))
+            number, *others = (
+                _turning(plate, cell, around, x) for x in (states, before, *np.array_split(states, 2))
+            )
+            change = max(abs(number - other) for other in others)
             if change < min(_CHANGE, _RELATIVE_CHANGE * number):  # number 0: the cycle lies outside
                 return Rotation(number, _CAUTION * change, around)
     return None
+
+
+def _turning(plate: Any, cell: Cell, around: Point, states: Floats) -> float:
+    """The turns of states (n, 6) around a cycle in each round, in [0, 1/2]."""
+    turns = np.diff(np.angle(_on_plane(plate, cell, around, states))) / TWO_PI
+    turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
+    number = _mean(turns)
+    return abs(number - round(number))
 
 
 def _on_plane(plate: Any, cell: Cell, around: Point, states: Floats) -> NDArray[np.complex128]:
@@ -153,7 +162,8 @@ def _on_plane(plate: Any, cell: Cell, around: Point, states: Floats) -> NDArray[
 
     With a gap a state has four dimensions: a torus can cross itself in a plane that is not this one.
     """
-    centre = _strobed(plate, cell, around.state, 1, 1)[0]
+    mean, centres = states.mean(axis=0), _strobed(plate, cell, around.state, 1, around.cycles.periods)
+    centre = min(centres, key=lambda state: float(np.linalg.norm(state - mean)))
     first = 2 if centre[2] else 4  # without a gap, elongation and its velocity are the state
     step = _DIFFERENCE * np.maximum(np.abs(centre[first:]), _DIFFERENCE)
     moved = np.tile(centre, (2 * step.size, 1))

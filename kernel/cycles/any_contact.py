@@ -125,26 +125,30 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
         first = line.points[-1]
         if within(first, span) and not any(lies_on(first, other) for other in followed):
             followed.append(both_ways(first, span, points, partial(joins, followed)))
-        cut += [Followed([first], _cut(line))] if _cut(line) else []
+        cut += [Followed([first], [end]) for end in cut_off([line])]
         if not math.isclose(first.parameter, seed.parameter):  # else it goes on beyond its seed
             ways.append(line)
-    return followed + cut
+    return joined(followed + cut)
 
 
 def joins(lines: list[Followed], point: Point) -> bool:
     """Whether a branch that was cut off passes through a cycle."""
-    return any(lies_on(point, line) for line in lines if _cut(line))
+    return any(lies_on(point, line) for line in lines if cut_off([line]))
 
 
-def _cut(line: Followed) -> list[Event]:
-    """Where a branch is cut off."""
-    return [event for event in line.events if event.kind is End.CUT_OFF]
+def joined(lines: list[Followed]) -> list[Followed]:
+    """The same branches, cut off only where no other one goes on."""
+
+    def holds(event: Event, own: Followed) -> bool:
+        others = (line for line in lines if line is not own and event.kind is End.CUT_OFF)
+        return not any(lies_on(event.point, line) for line in others)
+
+    return [line._replace(events=[event for event in line.events if holds(event, line)]) for line in lines]
 
 
 def cut_off(lines: list[Followed]) -> list[Event]:
-    """Where branches are cut off, and no other one goes on."""
-    ends = ((event, line) for line in lines for event in _cut(line))
-    return [end for end, own in ends if not any(lies_on(end.point, x) for x in lines if x is not own)]
+    """Where branches are cut off."""
+    return [event for line in lines for event in line.events if event.kind is End.CUT_OFF]
 
 
 def passing(line: Followed, parameter: float) -> Iterator[Point]:

@@ -16,6 +16,7 @@ from kernel.cycles.any_contact import (
     cycles_at_cell,
     event_record,
     is_doubled,
+    joined,
     joins,
     lies_on,
     record,
@@ -170,7 +171,9 @@ def follow_cells(
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
             kept.append(both_ways(seed, span, POINTS, partial(joins, kept)))
-    return _recorded(kept, span, POINTS, twice, flights=True, micro_flight=spec.micro_flight, skipped=skipped)
+    return _recorded(
+        joined(kept), span, POINTS, twice, flights=True, micro_flight=spec.micro_flight, skipped=skipped
+    )
 
 
 def own_cycle(

@@ -146,7 +146,7 @@ def test_a_cycle_on_the_limit_is_on_the_branch():
 
 
 def test_a_branch_that_goes_on_beyond_its_points_says_so():
-    followed, whole = (branches(soft(), 0.60, 0.05, 1, points=points)[0] for points in (30, 300))
+    followed, whole = (branches(soft(), 0.60, 0.05, 1, points=points)[0] for points in (60, 300))
     assert {event.kind for event in followed.events if event.kind in set(End)} == {End.CUT_OFF, End.REST}
     assert {event.kind for event in whole.events if event.kind in set(End)} == {End.REST}
     assert len(whole.points) > len(followed.points)
@@ -227,6 +227,7 @@ def test_pieces_of_a_branch_that_was_cut_off_meet_and_do_not_overlap():
     assert (FOLD, 1.566024489) in events
     cut, rest = branches(soft(0.237, 0.00214, adhesive=False), 0.3212, 0.0723, 1)
     assert max(cut.points[-1].flights) == pytest.approx(max(rest.points[0].flights), abs=0.05)
+    assert cut_off([cut]) == []  # the other one goes on
 
 
 def test_a_closed_branch_is_followed_once_round():
