@@ -140,9 +140,8 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
             around = cycle_from(plate, cell, periods, guess)
             if around is None or around.multipliers[0].imag == 0.0 or repeats(around):
                 continue
-            number, *others = (
-                _turning(plate, cell, around, x) for x in (states, before, *np.array_split(states, 2))
-            )
+            parts = states, before, *np.array_split(states, 2)
+            number, *others = (_turning(plate, cell, around, part) for part in parts)
             change = max(abs(number - other) for other in others)
             if change < min(_CHANGE, _RELATIVE_CHANGE * number):  # number 0: the cycle lies outside
                 return Rotation(number, _CAUTION * change, around)
@@ -150,10 +149,11 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
 
 
 def _turning(plate: Any, cell: Cell, around: Point, states: Floats) -> float:
-    """The turns of states (n, 6) around a cycle in each round, in [0, 1/2]."""
+    """The mean turns of states (n, 6) around a cycle in each round, in [0, 1/2]."""
     turns = np.diff(np.angle(_on_plane(plate, cell, around, states))) / TWO_PI
     turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
-    number = _mean(turns)
+    t = (np.arange(len(turns)) + 0.5) / len(turns)
+    number = float(np.average(turns, weights=np.exp(-1.0 / (t * (1.0 - t)))))  # vanish smoothly at both ends
     return abs(number - round(number))
 
 
@@ -181,10 +181,3 @@ def _strobed(plate: Any, cell: Cell, state: Floats, periods: int, rounds: int) -
     gamma, start = np.full(rounds, cell.gamma), Start(state, cell)
     options: Any = {"carry": True, "settle": periods - 1, "observe": 1, "keep": 1, "start": start}
     return _run(plate, gamma, cell.omega, cell.xi, **options).end_state
-
-
-def _mean(turns: Floats) -> float:
-    """The mean of turns (n,), with a weight that vanishes smoothly at both ends."""
-    t = (np.arange(len(turns)) + 0.5) / len(turns)
-    weight = np.exp(-1.0 / (t * (1.0 - t)))
-    return float(weight @ turns / weight.sum())

@@ -120,8 +120,7 @@ def all_through(cycles: Iterable[Point], span: tuple[float, float], points: int 
         if arrives(seed):
             continue
         reach = min(span[0], seed.parameter), max(span[1], seed.parameter)
-        way = span[0] - seed.parameter
-        line = follow(seed, way, points=_WAY, span=reach, until=arrives)
+        line = follow(seed, span[0] - seed.parameter, points=_WAY, span=reach, until=arrives)
         first = line.points[-1]
         if within(first, span) and not any(lies_on(first, other) for other in followed):
             followed.append(both_ways(first, span, points, partial(joins, followed)))
@@ -139,11 +138,11 @@ def joins(lines: list[Followed], point: Point) -> bool:
 def joined(lines: list[Followed]) -> list[Followed]:
     """The same branches, cut off only where no other one goes on."""
 
-    def holds(event: Event, own: Followed) -> bool:
-        others = (line for line in lines if line is not own and event.kind is End.CUT_OFF)
-        return not any(lies_on(event.point, line) for line in others)
+    def ends(event: Event, own: Followed) -> bool:
+        others = (line for line in lines if line is not own)
+        return event.kind is not End.CUT_OFF or not any(lies_on(event.point, line) for line in others)
 
-    return [line._replace(events=[event for event in line.events if holds(event, line)]) for line in lines]
+    return [own._replace(events=[event for event in own.events if ends(event, own)]) for own in lines]
 
 
 def cut_off(lines: list[Followed]) -> list[Event]:

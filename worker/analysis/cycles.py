@@ -171,9 +171,8 @@ def follow_cells(
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
             kept.append(both_ways(seed, span, POINTS, partial(joins, kept)))
-    return _recorded(
-        joined(kept), span, POINTS, twice, flights=True, micro_flight=spec.micro_flight, skipped=skipped
-    )
+    kept = joined(kept)
+    return _recorded(kept, span, POINTS, twice, flights=True, micro_flight=spec.micro_flight, skipped=skipped)
 
 
 def own_cycle(

@@ -90,6 +90,17 @@ def test_a_torus_in_flight_at_each_period_turns_in_the_plane_of_its_cycle():
     assert found.number == pytest.approx(0.436002, abs=1e-5)
 
 
+@pytest.mark.parametrize("settle", [5_000, 5_001])
+def test_a_torus_around_a_cycle_of_two_periods_is_within_its_error_while_it_is_approached(settle):
+    """Just above its Neimark-Sacker point, Gamma 3.617643; the number is that after a million periods."""
+    plate, cell = rigid(0.0), Cell(3.6177, 1.0, 0.05)
+    state = np.array([[0.0, 1.0, 0.0002, 0.0062, -0.779, 2.2852]])
+    line = run(plate, np.array([cell.gamma]), cell.omega, cell.xi, state, settle, 100)
+    found = rotation(plate, cell, line.end_state[0])
+    assert found.number == pytest.approx(0.3665319222, abs=found.error)
+    assert found.error < 1e-4
+
+
 def test_nothing_is_found_where_nothing_bounces_below_rest():
     result = search(rigid(0.0), 0.5, 0.26, effort=0)
     assert math.isnan(result.gamma)
