@@ -55,7 +55,7 @@ def test_a_release_writes_its_version_everywhere_and_is_tagged(tmp_path: Path):
     old = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     changelog = tmp_path / "CHANGELOG.md"
     before = f"## [{old}] - 2026-01-01\n\nTag `v{old}`, kernel version {KERNEL_VERSION}.\n"
-    changelog.write_text(f"## [Unreleased]\n\n- A change.\n\n{before}")
+    changelog.write_text(f"## [Unreleased]\n\n### Added\n\n- A change.\n\n{before}")
     for command in ("init -q", "add -A", "commit -qm before", f"tag v{old}"):
         run("git", *command.split())
 
