@@ -366,12 +366,9 @@ def draw_measured(ax: Axes, points: Any, axis: NDArray[np.float64], computed: ND
     cell = np.clip(np.searchsorted(edges(axis), points.x) - 1, 0, len(axis) - 1)
     differences = points.y[:, None] - computed[cell]
     differences[(points.x < edges(axis)[0]) | (points.x > edges(axis)[-1])] = np.nan
-    residual = np.full(len(points.y), np.nan)
-    for i in np.flatnonzero(np.isfinite(differences).any(axis=1)):
-        residual[i] = differences[i, np.nanargmin(np.abs(differences[i]))]
-    style: Any = {"fmt": "D", "color": WARNING, "markersize": 4, "markerfacecolor": "white",
-                  "elinewidth": 1.0, "zorder": 6}  # fmt: skip
-    ax.errorbar(points.x, points.y, points.error, label="measured", **style)
+    nearest = np.where(np.isnan(differences), np.inf, np.abs(differences)).argmin(axis=1)
+    residual = differences[np.arange(len(nearest)), nearest]
+    _draw_points(ax, points.x, points.y, points.error, "measured")
     figure = ax.get_figure(root=True)
     if figure is not None and figure.get_layout_engine() is not None:  # it would make no room
         figure.draw_without_rendering()
@@ -381,7 +378,7 @@ def draw_measured(ax: Axes, points: Any, axis: NDArray[np.float64], computed: ND
     below = ax.inset_axes((0.0, -0.47, 1.0, 0.35), sharex=ax)
     below.set_xlabel(ax.get_xlabel())
     below.axhline(0.0, color="0.6", linewidth=0.8)
-    below.errorbar(points.x, residual, points.error, **style)
+    _draw_points(below, points.x, residual, points.error)
     below.set_title("measured − computed", loc="left", fontsize=8, pad=2)
     ax.set_xlabel("")
     ax.tick_params(labelbottom=False)
@@ -390,6 +387,16 @@ def draw_measured(ax: Axes, points: Any, axis: NDArray[np.float64], computed: ND
     if len(near):
         summary += f": median {np.median(near):.2g}, largest {near.max():.2g}"
     below.set_title(summary, loc="right", fontsize=8, pad=2)
+
+
+def _draw_points(ax: Axes, x: Any, y: Any, error: Any, label: str = "") -> None:
+    """Points and their error bars; matplotlib's own bars take a millisecond each."""
+    from matplotlib.collections import LineCollection
+
+    bars = np.array([[x, x], [y - error, y + error]]).T
+    bars = bars[np.isfinite(bars).all(axis=(1, 2))]
+    ax.add_collection(LineCollection(bars, colors=WARNING, linewidths=1.0, zorder=6))
+    ax.plot(x, y, "D", color=WARNING, markersize=4, markerfacecolor="white", label=label, zorder=6)
 
 
 def draw_strips(ax: Axes, diagram: xarray.Dataset) -> None:

@@ -112,6 +112,9 @@ def test_measured_flights_have_residuals_to_the_nearest(job: Job, ax: Axes, tmp_
     file.write_text("\n".join(["# of our own", "gamma,flight_time_ms,error", *rows]))
     job.plot("diagram", omega=0.6, direction="down", data=file, frequency=25.0, ax=ax)
     np.testing.assert_allclose(residuals(ax), [*offset[:3], np.nan], atol=1e-9)
+    (bars,) = ax.child_axes[-1].collections  # type: ignore[attr-defined]
+    lengths = np.ptp(bars.get_segments(), axis=1)
+    np.testing.assert_allclose(lengths, [[0.0, 2 * 0.1 * 2 * math.pi * 0.025]] * 3, atol=1e-9)
     assert ax.child_axes[-1].get_title("right") == "3 of 4 points: median 0.02, largest 0.03"  # type: ignore[attr-defined]
 
 
