@@ -14,7 +14,7 @@ admissible, where the branch goes on as another word.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -65,7 +65,7 @@ class Thresholds(NamedTuple):
 
     def contradicted(self, bouncing: float) -> "Thresholds":
         """The same, unresolved: a simulation bounces at this Gamma below `down`."""
-        bounces = f"bounces at Gamma = {bouncing:.10g}, as no cycle that was followed"
+        bounces = f"bounces at Gamma = {bouncing:.7g}, as no cycle that was followed"
         reason = "; ".join(filter(None, [bounces, self.cut]))
         return self._replace(down=math.nan, cause=UNRESOLVED, reason=reason, fold=None)
 
@@ -80,7 +80,7 @@ def where_searched(answer: Thresholds) -> Thresholds:
     xi = answer.xi
     if xi >= SEARCHED_XI:
         return answer
-    says = answer.reason or f"Gamma = {answer.down:.10g}"
+    says = answer.reason or f"Gamma = {answer.down:.7g}"
     reason = (
         f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
         f"reach lower than it says: {answer.cause}, {says}"
@@ -122,7 +122,7 @@ def lowest_end(answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descen
     lowest = min(below, key=lambda fold: fold.gamma, default=None)
     down = answer.gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
-    reasons += [_why(fold) for fold in folds if not fold.holds and fold.gamma < down]
+    reasons += _why([fold for fold in folds if not fold.holds and fold.gamma < down])
     if reasons:
         return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
     return answer._replace(down=down, cause=answer.at_rest if lowest is None else lowest.name, fold=lowest)
@@ -182,12 +182,15 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
     return len(t) > 0 and bool((branch(omega, xi, periods, t).violations == 0).any())
 
 
-def _why(fold: Fold) -> str:
-    """Why a fold below the answer does not decide."""
-    name = f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.10g}"
-    if fold.violations:
-        return f"{name} is not admissible: the branch goes on as another word"
-    return f"{name} is unstable on both sides: a torus may live near it"
+def _why(folds: Sequence[Fold]) -> Iterator[str]:
+    """Why folds below the answer do not decide."""
+    why = {True: "not admissible: the branch goes on as another word",
+           False: "unstable on both sides: a torus may live near it"}  # fmt: skip
+    for is_broken, text in why.items():
+        those = [fold for fold in folds if bool(fold.violations) is is_broken]
+        names = " and ".join(f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.7g}" for fold in those)
+        if those:
+            yield f"{names} {'is' if len(those) == 1 else 'are'} {text}"
 
 
 class _LastCycle(NamedTuple):

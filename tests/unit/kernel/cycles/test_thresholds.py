@@ -15,7 +15,17 @@ from kernel.cycles.events import branch_and_events
 from kernel.cycles.folds import lifetime
 from kernel.cycles.follow import follow
 from kernel.cycles.starts import start_on_stable_cycle
-from kernel.cycles.thresholds import EQ_25, NOT_SEARCHED, SEARCHED_XI, UNRESOLVED, conjecture, thresholds
+from kernel.cycles.thresholds import (
+    EQ_25,
+    NOT_SEARCHED,
+    SEARCHED_XI,
+    UNRESOLVED,
+    Thresholds,
+    closed_form,
+    conjecture,
+    lowest_end,
+    thresholds,
+)
 from kernel.models import rigid
 from kernel.params import Cell
 from kernel.threshold import threshold
@@ -139,7 +149,7 @@ def test_a_damping_that_was_not_searched_decides_nothing(omega: float, xi: float
     assert descend(cycle).gamma == pytest.approx(fold, abs=1e-9)
     assert (found.cause, found.fold) == (NOT_SEARCHED, None)
     assert math.isnan(found.down)
-    assert f"Eq. 25, Gamma = {rule.down:.10g}" in found.reason
+    assert f"Eq. 25, Gamma = {rule.down:.7g}" in found.reason
     assert thresholds(omega, xi).cause == NOT_SEARCHED
     assert thresholds(omega, SEARCHED_XI).cause != NOT_SEARCHED
     assert thresholds(omega, math.nextafter(SEARCHED_XI, 0.0)).cause == NOT_SEARCHED
@@ -171,3 +181,13 @@ def test_hysteresis_with_rest_ends():
     assert thresholds(end["omega"], end["xi"] - 5e-4).cause == "fold (1,1)"
     omegas = end["omega"] + np.linspace(-0.01, 0.01, 9)
     assert {thresholds(float(omega), end["xi"] + 5e-4).cause for omega in omegas} == {EQ_25}
+
+
+def test_folds_that_do_not_decide_are_listed_with_one_reason_for_all():
+    (known, *_) = closed_form(0.5, 0.26).minima
+    folds = [known._replace(gamma=gamma, violations=1) for gamma in (1 / 3, 2 / 3)]
+    said = lowest_end(Thresholds(0.5, 0.26, 1.0, math.nan), folds, []).reason
+    assert said == (
+        "the fold of (1,1) at Gamma = 0.3333333 and the fold of (1,1) at Gamma = 0.6666667 are not "
+        "admissible: the branch goes on as another word"
+    )
