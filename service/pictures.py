@@ -39,19 +39,18 @@ WARNING: Final[str] = LINES["cursor"]
 
 _WAYS: Final = {"rest": "from rest", "up": "ramp up", "down": "ramp down"}
 
-#: Colours of the classes of a map's cells, in the order of the legend: cycles by their plate periods, and by
-#: whether they have fewer, equal or more bounces; longer cycles; other cells by their label, in the page's
-#: words.
+#: Colours of the classes of a map's cells, in the order of the legend, by their names on the page: cycles by
+#: their plate periods, and by whether they have fewer, equal or more bounces; longer cycles; other cells by
+#: their label.
 _LABELLED: Final = {
     "missing": "not computed yet", "at_rest": "at rest", "settling": "still settling",
     "unstable": "unstable cycle",
 }  # fmt: skip
-_BOUNCES: Final = (", fewer bounces", "", ", more bounces")
 CLASSES: Final = (
     {
-        f"{n} period{'s' * (n > 1)}{bounces}": colour
+        f"({sign}{n}, {n})": colour
         for n, colours in enumerate(PALETTE["periods"], 1)
-        for bounces, colour in zip(_BOUNCES, colours, strict=True)
+        for sign, colour in zip(("<", "", ">"), colours, strict=True)
     }
     | {f"over {len(PALETTE['periods'])} periods": PALETTE["longer"][0]}
     | {_LABELLED.get(name, name): on_white for name, (on_white, _) in PALETTE["labels"].items()}

@@ -55,7 +55,7 @@ def test_strips_have_the_modes_of_both_ways_without_hidden_classes():
     names = [[pictures.CLASS_NAMES[i] for i in strip.get_array().compressed()] for strip in axes.collections]
     assert names == [["at_rest", "1-equal", "at_rest"], ["at_rest", "1-more", "at_rest"]]
     entries = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert entries == ["ramp up", "ramp down", "1 period", "1 period, more bounces", "at rest"]
+    assert entries == ["ramp up", "ramp down", "(1, 1)", "(>1, 1)", "at rest"]
 
 
 def test_many_flights_are_drawn_as_density(monkeypatch: pytest.MonkeyPatch):
