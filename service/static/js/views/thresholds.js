@@ -138,8 +138,8 @@ export class Thresholds extends PlotView {
     const text = (name, isLong) => [name, ({ row }) => inSymbols(row[name] ?? ""), isLong];
     return [axisColumn("Ω", this.grid.omega, ({ row }) => row.omega), ...this.common({ xi: this.xi }), value("Eq. 25", "analytic", gammaText),
       ...this.series.map(({ name, way }) => value(name, way, gammaText, (row) => row[`${way}_status`])),
-      // Where the closed form says that bouncing ends, and why the sweep differs.
-      ...(this.overlay ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("reason", true), text("difference", true)] : [])];
+      // Where the closed form says that bouncing ends, and why the sweep differs; not while that is asked for.
+      ...(this.overlay && this.rows[0].cause !== "not predicted" ? [value("closed form", "predicted_down", (gamma) => number(gamma, 6)), text("cause"), text("reason", true), text("difference", true)] : [])];
   }
 
   /** The cell at the pointer's height; from the keyboard, the one at the threshold. */
