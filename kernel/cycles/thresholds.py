@@ -14,7 +14,7 @@ admissible, where the branch goes on as another word.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -122,7 +122,10 @@ def lowest_end(answer: Thresholds, folds: Sequence[Fold], ends: Sequence["Descen
     lowest = min(below, key=lambda fold: fold.gamma, default=None)
     down = answer.gamma_th if lowest is None else lowest.gamma
     reasons = [end.reason for end in ends if end.reason and end.gamma < down]
-    reasons += _why([fold for fold in folds if not fold.holds and fold.gamma < down])
+    others = [fold for fold in folds if not fold.holds and fold.gamma < down]
+    broken, unstable = ([x for x in others if bool(x.violations) is is_broken] for is_broken in (True, False))
+    reasons += _why(broken, "not admissible: the branch goes on as another word")
+    reasons += _why(unstable, "unstable on both sides: a torus may live near it")
     if reasons:
         return answer._replace(reason="; ".join(dict.fromkeys(reasons)))
     return answer._replace(down=down, cause=answer.at_rest if lowest is None else lowest.name, fold=lowest)
@@ -182,15 +185,10 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
     return len(t) > 0 and bool((branch(omega, xi, periods, t).violations == 0).any())
 
 
-def _why(folds: Sequence[Fold]) -> Iterator[str]:
-    """Why folds below the answer do not decide."""
-    why = {True: "not admissible: the branch goes on as another word",
-           False: "unstable on both sides: a torus may live near it"}  # fmt: skip
-    for is_broken, text in why.items():
-        those = [fold for fold in folds if bool(fold.violations) is is_broken]
-        names = " and ".join(f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.7g}" for fold in those)
-        if those:
-            yield f"{names} {'is' if len(those) == 1 else 'are'} {text}"
+def _why(folds: Sequence[Fold], what: str) -> list[str]:
+    """That folds below the answer do not decide, as they are `what`; empty without any."""
+    names = [f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.7g}" for fold in folds]
+    return [f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} {what}"] if names else []
 
 
 class _LastCycle(NamedTuple):

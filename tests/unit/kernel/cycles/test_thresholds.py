@@ -184,9 +184,9 @@ def test_hysteresis_with_rest_ends():
 
 
 def test_folds_that_do_not_decide_are_listed_with_one_reason_for_all():
-    (known, *_) = closed_form(0.5, 0.26).minima
+    (known, *_) = closed_form(0.56, 0.05).minima
     folds = [known._replace(gamma=gamma, violations=1) for gamma in (1 / 3, 2 / 3)]
-    said = lowest_end(Thresholds(0.5, 0.26, 1.0, math.nan), folds, []).reason
+    said = lowest_end(Thresholds(0.56, 0.05, 1.0, math.nan), folds, []).reason
     assert said == (
         "the fold of (1,1) at Gamma = 0.3333333 and the fold of (1,1) at Gamma = 0.6666667 are not "
         "admissible: the branch goes on as another word"
