@@ -287,8 +287,9 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def content(*formats: str) -> dict[int | str, dict[str, Any]]:
-    """Entry of the API document for a successful answer in one of these formats."""
-    return {200: {"content": {MEDIA_TYPES[format]: {} for format in formats}}}
+    """Entries of the API document for an answer in one of these formats; Parquet is an extra."""
+    lacking = problem_responses(501) if "parquet" in formats else {}
+    return {200: {"content": {MEDIA_TYPES[format]: {} for format in formats}}, **lacking}
 
 
 #: Entry of the API document for responses that workers compute on demand.

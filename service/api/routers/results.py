@@ -50,7 +50,8 @@ def _export_cost(service: ServiceDep, job: JobRecord, query: schemas.ExportQuery
 @router.get(
     "/export",
     summary="Export the job's results as a file",
-    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 501, 507)},
+    response_class=Response,
+    responses={**content(*EXPORTS), **problem_responses(404, 413, 422, 429, 507)},
 )
 @costly(_export_cost, "export")
 def export_job(service: ServiceDep, job: JobDep, query: Annotated[schemas.ExportQuery, Query()]) -> Response:

@@ -13,6 +13,7 @@ from service.api import openapi
 from service.api.app import create_app
 from service.api.openapi import EXAMPLES
 from service.api.schemas import NewName
+from service.formats import EXPORTS, MEDIA_TYPES
 from service.settings import Settings
 from service.views.trajectory import TrajectorySpec
 from worker.executors.inline import Inline
@@ -56,6 +57,15 @@ def test_every_error_is_a_problem_document(document: dict[str, Any]):
         for status, answer in operation["responses"].items():
             if status >= "4":
                 assert list(answer["content"]) == ["application/problem+json"], operation["operationId"]
+
+
+def test_files_have_their_types_and_parquet_may_be_missing(document: dict[str, Any]):
+    export = document["paths"]["/v1/jobs/{job_id}/export"]["get"]["responses"]
+    assert sorted(export["200"]["content"]) == sorted(MEDIA_TYPES[format] for format in EXPORTS)
+    for operation in operations(document):
+        for answer in operation["responses"].values():
+            if MEDIA_TYPES["parquet"] in answer.get("content", {}):
+                assert "501" in operation["responses"], operation["operationId"]
 
 
 def test_the_fields_of_a_sweep_have_meanings_and_defaults(document: dict[str, Any]):
