@@ -57,33 +57,33 @@ def descend(point: Point) -> Descent:
     for _ in range(_FLIPS + 1):
         gamma, name = point.parameter, cycle_of(point).name
         if not point.stable:
-            return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.7g}", point)
+            return Descent(gamma, None, f"{name} is not stable at Gamma = {gamma:.10g}", point)
         span = (0.0, gamma * (1.0 + _RISES))
         line, events = follow(point, way, points=_POINTS, span=span, until=lambda x: not x.stable)
         last = next((event for event in events if event.kind in _LAST), None)
         if last is None:
             gamma, name = line[-1].parameter, cycle_of(line[-1]).name
             leads = "leads up" if line[-1].stable else "is not stable"
-            return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.7g}", line[-1])
+            return Descent(gamma, None, f"{name} {leads} from Gamma = {gamma:.10g}", line[-1])
         gamma, name = last.point.parameter, cycle_of(last.point).name
         if last.kind is Kind.FOLD:
             fold = fold_of(last)
             if fold.holds:
                 return Descent(gamma, fold, "")
-            return Descent(gamma, None, f"{name} is not stable at its fold, Gamma = {gamma:.7g}", last.point)
+            return Descent(gamma, None, f"{name} is not stable at its fold, Gamma = {gamma:.10g}", last.point)
         if last.kind is End.REST:
             return Descent(gamma, None, "")
         after = doubled(last.point) if last.kind is Kind.FLIP else None
         if after is None:
             return ended(last)
         point, way = after, 0.0
-    return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.7g}", point)
+    return Descent(gamma, None, f"a cascade of flips at Gamma = {gamma:.10g}", point)
 
 
 def ended(event: Event) -> Descent:
     """The end of a stable cycle at an event beyond which branches do not tell what bounces."""
     point = event.point
-    reason = f"{cycle_of(point).name} ends at a {event.kind} at Gamma = {point.parameter:.7g}"
+    reason = f"{cycle_of(point).name} ends at a {event.kind} at Gamma = {point.parameter:.10g}"
     if event.kind is Kind.NEIMARK_SACKER:
         turn = abs(np.angle(point.multipliers[0])) / TWO_PI
         reason += f": a torus begins with rotation number {turn:.6f}"

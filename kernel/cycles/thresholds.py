@@ -65,7 +65,7 @@ class Thresholds(NamedTuple):
 
     def contradicted(self, bouncing: float) -> "Thresholds":
         """The same, unresolved: a simulation bounces at this Gamma below `down`."""
-        bounces = f"bounces at Gamma = {bouncing:.7g}, as no cycle that was followed"
+        bounces = f"bounces at Gamma = {bouncing:.10g}, as no cycle that was followed"
         reason = "; ".join(filter(None, [bounces, self.cut]))
         return self._replace(down=math.nan, cause=UNRESOLVED, reason=reason, fold=None)
 
@@ -80,7 +80,7 @@ def where_searched(answer: Thresholds) -> Thresholds:
     xi = answer.xi
     if xi >= SEARCHED_XI:
         return answer
-    says = answer.reason or f"Gamma = {answer.down:.7g}"
+    says = answer.reason or f"Gamma = {answer.down:.10g}"
     reason = (
         f"the rule was searched for what it misses from xi = {SEARCHED_XI:g} on; at {xi:g} other cycles may "
         f"reach lower than it says: {answer.cause}, {says}"
@@ -187,7 +187,7 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
 
 def _why(folds: Sequence[Fold], what: str) -> list[str]:
     """That folds below the answer do not decide, as they are `what`; empty without any."""
-    names = [f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.7g}" for fold in folds]
+    names = [f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.10g}" for fold in folds]
     return [f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} {what}"] if names else []
 
 

@@ -149,7 +149,7 @@ def test_a_damping_that_was_not_searched_decides_nothing(omega: float, xi: float
     assert descend(cycle).gamma == pytest.approx(fold, abs=1e-9)
     assert (found.cause, found.fold) == (NOT_SEARCHED, None)
     assert math.isnan(found.down)
-    assert f"Eq. 25, Gamma = {rule.down:.7g}" in found.reason
+    assert f"Eq. 25, Gamma = {rule.down:.10g}" in found.reason
     assert thresholds(omega, xi).cause == NOT_SEARCHED
     assert thresholds(omega, SEARCHED_XI).cause != NOT_SEARCHED
     assert thresholds(omega, math.nextafter(SEARCHED_XI, 0.0)).cause == NOT_SEARCHED
@@ -188,6 +188,6 @@ def test_folds_that_do_not_decide_are_listed_with_one_reason_for_all():
     folds = [known._replace(gamma=gamma, violations=1) for gamma in (1 / 3, 2 / 3)]
     said = lowest_end(Thresholds(0.56, 0.05, 1.0, math.nan), folds, []).reason
     assert said == (
-        "the fold of (1,1) at Gamma = 0.3333333 and the fold of (1,1) at Gamma = 0.6666667 are not "
+        "the fold of (1,1) at Gamma = 0.3333333333 and the fold of (1,1) at Gamma = 0.6666666667 are not "
         "admissible: the branch goes on as another word"
     )
