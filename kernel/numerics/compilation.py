@@ -16,6 +16,7 @@ import fcntl
 import functools
 import gc
 import hashlib
+import logging
 import os
 import pickle
 import threading
@@ -40,6 +41,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global
 
 from kernel.numerics import cache
 from kernel.numerics.cache import compiling
+
+log = logging.getLogger(__name__)
 
 #: numba's passes that kernels need, in its order. The others are for `with`, `literal_unroll` or functions
 #: inlined as Python, which kernels do not have.
@@ -458,12 +461,12 @@ def _lock(file: IO[str], deadline: float) -> None:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return
         time.sleep(LOOK_SECONDS)
+    log.warning("%s: the process that compiles this may be suspended, so another compiles it too", file.name)
 
 
 def _module(arguments: tuple[Any, ...]) -> str:
     """The module of the first argument's class; "" if that is not a NamedTuple."""
-    kind = getattr(arguments[0], "instance_class", None) if arguments else None
-    return kind.__module__ if kind is not None else ""
+    return getattr(getattr(next(iter(arguments), None), "instance_class", None), "__module__", "")
 
 
 def _machine_code(path: Path, codegen: Any) -> Path:
