@@ -13,6 +13,7 @@ import hashlib
 import logging
 import os
 import platform
+import resource
 import shutil
 import time
 from contextlib import ExitStack, suppress
@@ -29,6 +30,8 @@ _PACKAGES: Final = Path(__file__).parents[1]
 _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _USED: Final = "used"
 _OLD_SECONDS: Final = 14 * 24 * 3600
+#: Least address space of a process with compiled kernels.
+LEAST_BYTES: Final = 1_000_000_000
 
 
 class CacheRefused(Exception):
@@ -37,7 +40,12 @@ class CacheRefused(Exception):
 
 @functools.cache
 def use_cache() -> Path:
-    """Make this process use the cache of compiled kernels, and return its folder. Raises CacheRefused."""
+    """Make this process use the cache of compiled kernels, and return its folder.
+
+    Raises CacheRefused, and MemoryError where LLVM would abort, or importing hang.
+    """
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_BYTES:
+        raise MemoryError(f"compiled kernels need {LEAST_BYTES:,} bytes of address space (ulimit -v)")
     folder = _cache_folder(default_root())
     from kernel.numerics import cache, jit  # noqa: PLC0415 - imports numba
 

@@ -226,9 +226,9 @@ def _message(error: Exception) -> str | None:
         return str(error)
     if isinstance(error, ModuleNotFoundError) and (missing := missing_library(error)):
         return missing
-    if isinstance(error, MemoryError):
-        return f"not enough memory: {error}" if str(error) else "not enough memory"
-    if isinstance(error, ImportError) and str(error.path).endswith(".so"):
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "new thread" in str(error)):
+        return ": ".join(filter(None, ("not enough memory or threads", str(error))))
+    if (isinstance(error, ImportError) and str(error.path).endswith(".so")) or "shared object" in str(error):
         return f"a library cannot be loaded, for lack of memory or because it is broken: {error}"
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)

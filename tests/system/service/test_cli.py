@@ -329,6 +329,13 @@ def test_a_library_that_cannot_be_loaded_is_one_sentence(tmp_path: Path):
     assert ended.stderr.startswith("Error: a library cannot be loaded")
 
 
+def test_too_little_address_space_is_one_sentence(spec: Path, tmp_path: Path):
+    limited = ["sh", "-c", 'ulimit -v 800000 && exec "$0" "$@"', BOUNCE, "run", spec]
+    ended = subprocess.run([*limited, "-o", tmp_path / "a.csv"], check=False, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr
+    assert ended.stderr.startswith("Error: not enough memory")
+
+
 def test_a_service_that_cannot_say_its_address_does_not_start(tmp_path: Path):
     serve = [BOUNCE, "serve", "--port", "0", "--workers", "1", "--data", tmp_path]
     with Path("/dev/full").open("w") as full:
