@@ -73,8 +73,8 @@ class Client(ResultReader, SpringMethods, AbstractContextManager["Client"]):
         *,
         http: "httpx2.Client | None" = None,
     ) -> None:
-        if timeout is None or not timeout > 0.0:
-            raise BounceError(f"timeout: must be seconds above 0, not {timeout}")
+        if not hasattr(timeout, "__float__") or not timeout > 0.0:
+            raise BounceError(f"timeout: must be seconds above 0, not {timeout!r:.40}")
         token = os.environ.get("BOUNCE_TOKEN") if token is None else token
         self._transport = Transport(default_url() if url is None else url, token, timeout, http)
 

@@ -65,6 +65,12 @@ def test_an_invalid_address_is_refused(url: str):
         Client(url)
 
 
+@for_each("timeout", [None, 0, math.nan, "5"])
+def test_a_time_limit_is_a_number_above_0(timeout: Any):
+    with pytest.raises(BounceError, match="timeout: must be seconds above 0"):
+        Client(timeout=timeout)
+
+
 def test_after_a_lost_connection_all_but_a_deletion_is_repeated(tmp_path: Path):
     """The same sweep is the same job; of two deletions, the second would tell of no such job."""
     with scripted(LOST, Answer(502, b"<html>"), Answer(body=view())) as (server, client):
