@@ -1,5 +1,6 @@
 """A method for each result. Made by service.views.client_methods: do not edit."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from service.formats import Methods, Progress, Results
@@ -340,8 +341,8 @@ class SpringMethods(Methods):
 
     def thresholds(
         self,
-        omega: Annotated[str, "values, as 0.45,0.46, or start:stop:number"],
-        xi: Annotated[str, "values, as 0.45,0.46, or start:stop:number"],
+        omega: Annotated[str | Sequence[float], "values, as 0.45,0.46, or start:stop:number"],
+        xi: Annotated[str | Sequence[float], "values, as 0.45,0.46, or start:stop:number"],
         model: Annotated[Literal["rigid", "soft"] | None, "contact whose cycles are followed; default: the ideal plate in closed form"] = None,
         restitution: Annotated[float | None, "of the model"] = None,
         penetration: Annotated[float | None, "of a soft model, in plate amplitudes"] = None,

@@ -5,6 +5,7 @@ the commands load no client to show their help. A test compares it with the regi
 """
 
 import sys
+from collections.abc import Sequence
 from inspect import cleandoc
 from pathlib import Path
 from textwrap import fill, indent
@@ -21,6 +22,7 @@ _WIDTH: Final = 110
 
 _HEAD: Final = '''"""A method for each result. Made by service.views.client_methods: do not edit."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from service.formats import Methods, Progress, Results
@@ -80,7 +82,7 @@ def _docstring(view: View) -> str:
 
 
 def _parameter(field: FieldInfo) -> str:
-    hint = _type(field.annotation)
+    hint = _type(field.annotation) + " | Sequence[float]" * (Sequence[float] in field.metadata)
     if field.description:
         hint = f"Annotated[{hint}, {_literal(field.description)}]"
     return hint if field.is_required() else f"{hint} = {_literal(field.default)}"

@@ -405,7 +405,7 @@ def test_a_ramp_that_begins_below_the_jump_follows_the_cycle_that_shrinks_to_res
 
 def test_a_grid_of_springs_is_that_of_the_rule_and_drawn_as_lines_or_a_map(python_client: Client):
     one, few, many = Figure(), Figure(), Figure()
-    lines = python_client.thresholds("0.6,0.62", "0.05,0.1", progress=False)
+    lines = python_client.thresholds([0.6, 0.62], "0.05,0.1", progress=False)
     spring_threshold.draw_grid(lines, few)
     assert lines.down.values[0] == pytest.approx([FOLD_060, 0.507033469], abs=1e-9)
     assert np.isnan(lines.missed.values).all()
