@@ -306,9 +306,7 @@ def computed(
             if budget is None:
                 _compile(parsed, progress)
             else:
-                left = budgets.usable(budget, time.monotonic() - began)
-                audited = budget >= COMPILING_BUDGET
-                stack.enter_context(_compiled_within(parsed, left, progress, audited=audited))
+                stack.enter_context(_compiled_within(parsed, budget, began, progress))
             manager.start()
             stack.callback(manager.stop)
             if budget is None:
@@ -478,12 +476,13 @@ def _compiling(spec: Any) -> str:
 
 @contextmanager
 def _compiled_within(
-    spec: Any, seconds: float, progress: bool | ProgressCallback, *, audited: bool
+    spec: Any, budget: float, began: float, progress: bool | ProgressCallback
 ) -> Iterator[None]:
-    """As `_compile`, for at most `seconds`; audited: beside the block, compile for the audit of a sweep.
+    """As `_compile`, within a budget; from COMPILING_BUDGET on, compile for its audit beside the block.
 
     Another process compiles, as that can be ended. Raises SpecInvalid if the time is over before.
     """
+    audited, seconds = budget >= COMPILING_BUDGET, budgets.usable(budget, time.monotonic() - began)
     if is_open(spec) or (is_compiled(spec) and not (audited and not is_compiled_for_audit(spec, None))):
         _compile(spec, progress)
         yield
@@ -498,7 +497,7 @@ def _compiled_within(
             with display_elapsed(_compiling(spec), MESSAGE_SECONDS) if progress is True else nullcontext():
                 in_time = wait([asked], max(seconds, 0.0)).done
             if not in_time:
-                enough = max(2.0 * seconds, COMPILING_BUDGET)
+                enough = max(2.0 * max(budget, time.monotonic() - began), COMPILING_BUDGET)
                 rule = f"was over before the {CONTACT_MODELS[spec.model.kind].label} was compiled"
                 raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
             if not audited:

@@ -351,7 +351,7 @@ def test_a_budget_ends_while_its_kernel_compiles(spec: Path, tmp_path: Path):
         [BOUNCE, "run", spec, "--budget", "2s", "-o", tmp_path / "a.zarr"], check=False, capture_output=True,
         env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}, text=True,
     )  # fmt: skip
-    assert re.search("was over before the .* contact was compiled; 60s may work", ended.stderr)
+    assert re.search(r"was over before the .* contact was compiled; \d+s may work", ended.stderr)
 
 
 def test_no_compilation_outlives_a_budget_that_is_killed(spec: Path, tmp_path: Path):

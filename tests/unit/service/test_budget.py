@@ -1,5 +1,6 @@
 """A budget is kept, and used: levels computed by a runner whose speed is not what its estimates say."""
 
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -154,6 +155,16 @@ def test_a_budget_too_short_for_any_level_says_what_may_work():
     runner.guess = 1.0
     with pytest.raises(SpecInvalid, match="; 96s may work"):
         within(SPEC, 2.0, runner, clock=runner.clock)
+
+
+def test_a_budget_over_before_its_kernel_is_compiled_says_more_than_itself(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(local, "is_compiled", lambda spec: False)
+    over = {"budget": 70.0, "began": time.monotonic() - 70.0, "progress": False}
+    with (
+        pytest.raises(SpecInvalid, match="was compiled; 1[4-9].s may work"),
+        local.computed(SPEC, tmp_path, **over),
+    ):
+        pass
 
 
 def test_a_budget_is_refused_before_anything_is_computed(tmp_path: Path):
