@@ -120,8 +120,10 @@ def compute(settings: Sequence[Setting], query: PlanQuery, result: tuple[list[Sh
     attrs: dict[str, Any] = {"points": shares[chosen].points, "seed": query.seed, "complete": True}
     limits = [f"a budget of {query.budget:g} s"] if settings[chosen].seconds > (query.budget or inf) else []
     limits += [f"a tolerance of {query.limit:g}"] if shares[chosen].high > (query.limit or 1.0) else []
-    if limits:
-        attrs["note"] = f"no setting surely keeps to {' and '.join(limits)}; the nearest is recommended"
+    rule = f"no setting judged at fresh points surely keeps to {' and '.join(limits)}"
+    notes = [f"{rule}; the nearest is recommended"] if limits else []
+    notes += ["cells that a map fills in are judged as if computed"] if specs[0].fills_in else []
+    attrs |= {"note": "; ".join(notes)} if notes else {}
     return dataset(variables(_ROWS, data), {}, attrs)
 
 

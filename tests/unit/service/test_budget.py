@@ -161,7 +161,7 @@ def test_a_budget_over_before_its_kernel_is_compiled_says_more_than_itself(tmp_p
     monkeypatch.setattr(local, "is_compiled", lambda spec: False)
     over = {"budget": 70.0, "began": time.monotonic() - 70.0, "progress": False}
     with (
-        pytest.raises(SpecInvalid, match="was compiled; 1[4-9].s may work"),
+        pytest.raises(SpecInvalid, match=r"was compiled; 1[4-9]\ds may work"),
         local.computed(SPEC, tmp_path, **over),
     ):
         pass

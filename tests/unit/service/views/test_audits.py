@@ -15,6 +15,7 @@ from studies import spec_of
 from benchmarks.audit import answered, census, drawn
 from kernel.params import Cell, Outcome
 from service.local import computed
+from service.views import plan
 from service.views.audit import AuditQuery, compute, is_compiled
 from service.views.plan import settings_of
 from service.views.selection import Stored
@@ -281,8 +282,11 @@ def test_a_plan_of_an_adaptive_map_costs_what_its_levels_cost():
     def cost(spec: SweepSpec) -> Any:
         return study_of(spec).estimate(spec, study_of(spec).plan(spec))
 
-    for setting in settings_of(spec, lambda _: 3.0, 64, study_of(spec).plan):
+    settings = settings_of(spec, lambda _: 3.0, 64, study_of(spec).plan)
+    for setting in settings:
         assert setting.seconds == cost(level(setting.spec, setting.steps)).at(3.0).seconds_on(64)
+    shares = [Share(100, 0.0, 0.0, 0.03)] * len(settings)
+    assert plan.compute(settings, plan.PlanQuery(), (shares, 0)).attrs["note"].startswith("cells that a map")
 
 
 def test_a_plan_compares_only_what_the_service_would_accept():
