@@ -4,7 +4,7 @@ FROM python:3.11-slim-bookworm
 
 LABEL org.opencontainers.image.title="bouncing-spring" \
     org.opencontainers.image.description="Parameter studies of the bouncing spring: service, scheduler and workers" \
-    org.opencontainers.image.version="0.2.0" \
+    org.opencontainers.image.version="0.3.0" \
     org.opencontainers.image.licenses="MIT"
 
 ENV PIP_NO_CACHE_DIR=1 \
