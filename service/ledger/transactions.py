@@ -139,11 +139,12 @@ class ReadTransaction:
 
     # Answers
 
-    def answer(self, job: JobRecord, name: str, query: str) -> tuple[list[Any], str] | None:
-        """The kept answer of workers for a result of the job, and its sentence; None if there is none."""
-        sql = "SELECT parts, sentence FROM answers WHERE job = ? AND name = ? AND query = ?"
-        row = self._fetch_one(sql, job.seq, name, query)
-        return None if row is None else (json.loads(row[0]), str(row[1]))
+    def answer(self, job: JobRecord, name: str, query: str) -> list[Any] | None:
+        """The kept answer of workers for a result of the job; None if there is none."""
+        row = self._fetch_one(
+            "SELECT parts FROM answers WHERE job = ? AND name = ? AND query = ?", job.seq, name, query
+        )
+        return None if row is None else json.loads(row[0])
 
     def sentence(self, job: JobRecord, name: str) -> str | None:
         """The sentence of the last answer kept for a result; None if there is none."""

@@ -135,16 +135,15 @@ def _parts(
         return _computed(service, study, view.parts(study, query))
     asked = query.model_dump_json()
     with service.ledger.reading() as ledger:
-        kept, last = ledger.answer(job, view.name, asked), ledger.sentence(job, view.name)
+        kept = ledger.answer(job, view.name, asked)
     if kept is None:
-        parts = _computed(service, study, view.parts(study, query))
-        kept = parts, view.compute(study, query, *parts).attrs["sentence"]
-    if kept[1] != last:  # an older answer becomes the last again
+        kept = _computed(service, study, view.parts(study, query))
+        sentence = view.compute(study, query, *kept).attrs["sentence"]
         with service.ledger.writing() as writing:
             now, results = writing.find(job.id), attrgetter("seq", "state", "chunks_done")
             if now is not None and results(now) == results(job):
-                writing.keep_answer(job, view.name, asked, *kept)
-    return kept[0]
+                writing.keep_answer(job, view.name, asked, kept, sentence)
+    return kept
 
 
 def audited(service: Service, job: JobRecord, seconds: float) -> str | None:
