@@ -18,7 +18,7 @@ _FIRST, _LARGEST, _SMALLEST = 1e-3, 4e-3, 1e-6
 _STAY, _FINE_STAY, _FINE = 3_000, 20_000, 1e-4
 #: Copies of a motion, their relative spread, and most steps.
 _COPIES, _SPREAD, _STEPS = 16, 1e-5, 150
-#: Plate periods that a copy must outlive at the end; otherwise all are transients.
+#: Plate periods that a copy must outlive at the end; otherwise all are transients. A torus settles as long.
 _LONG: Final = 200_000
 #: Longest cycle, in plate periods, that ends the steps; longer ones are carried on as other motions.
 LONGEST: Final = 24
@@ -27,7 +27,7 @@ LONGEST: Final = 24
 _ROUNDS, _AROUND, _GUESSES = 6_000, 8, 16
 #: Relative steps of differences of the map around that cycle, and the least value that they are relative to.
 _DIFFERENCE: Final = 1e-6
-#: Largest change of a rotation number from a half of the turns: absolute, and relative.
+#: Largest change of a rotation number from a half of the turns, or from before: absolute, and relative.
 _CHANGE, _RELATIVE_CHANGE = 1e-4, 0.1
 #: Its error in such changes: a motion may still approach its torus.
 _CAUTION: Final = 3.0
@@ -140,21 +140,27 @@ def rotation(plate: Any, cell: Cell, state: Floats) -> Rotation | None:
             around = cycle_from(plate, cell, periods, guess)
             if around is None or around.multipliers[0].imag == 0.0 or repeats(around):
                 continue
-            parts = states, before, *np.array_split(states, 2)
-            number, *others = (_turning(plate, cell, around, part) for part in parts)
-            change = max(abs(number - other) for other in others)
+            turns = _turns(plate, cell, around, states)
+            change = max(abs(_mean(turns) - _mean(half)) for half in np.array_split(turns, 2))
+            means = _mean(turns), _mean(_turns(plate, cell, around, before))
+            number, earlier = (abs(mean - round(mean)) for mean in means)  # whose planes may be mirrored
+            change = max(change, abs(number - earlier))
             if change < min(_CHANGE, _RELATIVE_CHANGE * number):  # number 0: the cycle lies outside
                 return Rotation(number, _CAUTION * change, around)
     return None
 
 
-def _turning(plate: Any, cell: Cell, around: Point, states: Floats) -> float:
-    """The mean turns of states (n, 6) around a cycle in each round, in [0, 1/2]."""
+def _turns(plate: Any, cell: Cell, around: Point, states: Floats) -> Floats:
+    """The turns (n - 1,) around a cycle from each of its states (n, 6) to the next."""
     turns = np.diff(np.angle(_on_plane(plate, cell, around, states))) / TWO_PI
-    turns -= np.round(turns - np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI)
+    middle = np.angle(np.exp(1j * TWO_PI * turns).mean()) / TWO_PI
+    return np.asarray(turns - np.round(turns - middle))
+
+
+def _mean(turns: Floats) -> float:
+    """The mean of turns (n,), with a weight that vanishes smoothly at both ends."""
     t = (np.arange(len(turns)) + 0.5) / len(turns)
-    number = float(np.average(turns, weights=np.exp(-1.0 / (t * (1.0 - t)))))  # vanish smoothly at both ends
-    return abs(number - round(number))
+    return float(np.average(turns, weights=np.exp(-1.0 / (t * (1.0 - t)))))
 
 
 def _on_plane(plate: Any, cell: Cell, around: Point, states: Floats) -> NDArray[np.complex128]:

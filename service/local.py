@@ -499,7 +499,7 @@ def _compiled_within(
             if not in_time:
                 enough = max(2.0 * max(budget, time.monotonic() - began), COMPILING_BUDGET)
                 rule = f"was over before the {CONTACT_MODELS[spec.model.kind].label} was compiled"
-                raise SpecInvalid([Problem("budget", f"{rule}; {enough:.3g}s may work")])
+                raise SpecInvalid([Problem("budget", f"{rule}; {enough:.0f}s may work")])
             if not audited:
                 process.kill()
             _compile(spec, False if asked.result() else progress)

@@ -451,7 +451,9 @@ def draw_modes(ax: Axes, modes: xarray.Dataset) -> None:
     classes = CLASSES | MARGIN_CLASSES
     multiplier = modes.multiplier.values if "multiplier" in modes else None
     cells = classes_of(modes, multiplier)
-    counted = "periods of the plate in a cycle" if multiplier is None else "modulus of the leading multiplier"
+    counted = (
+        "(bounces, plate periods) of a cycle" if multiplier is None else "modulus of the leading multiplier"
+    )
     corners = edges(modes.gamma.values), edges(modes.omega.values)
     if "hide" in modes.attrs:
         cells = np.ma.masked_equal(cells, CLASS_NAMES.index("missing"))

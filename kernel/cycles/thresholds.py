@@ -187,7 +187,7 @@ def _reaches(k: Spring, omega: float, xi: float, periods: int, below: float) -> 
 
 def _why(folds: Sequence[Fold], what: str) -> list[str]:
     """That folds below the answer do not decide, as they are `what`; empty without any."""
-    names = [f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.10g}" for fold in folds]
+    names = dict.fromkeys(f"the fold of {fold.cycle.name} at Gamma = {fold.gamma:.10g}" for fold in folds)
     return [f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} {what}"] if names else []
 
 

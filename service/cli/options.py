@@ -228,7 +228,8 @@ def _message(error: Exception) -> str | None:
         return missing
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "new thread" in str(error)):
         return ": ".join(filter(None, ("not enough memory or threads", str(error))))
-    if (isinstance(error, ImportError) and str(error.path).endswith(".so")) or "shared object" in str(error):
+    unloaded = isinstance(error, ImportError) and str(error.path).endswith(".so")
+    if unloaded or (isinstance(error, OSError) and not error.filename and "shared object" in str(error)):
         return f"a library cannot be loaded, for lack of memory or because it is broken: {error}"
     if isinstance(error, OSError) and error.errno != errno.EPIPE:
         reason = error.strerror or str(error)

@@ -135,7 +135,7 @@ def _recorded(
     flights: whether their `flight_time` is that of `_longest_first`.
     """
     if twice:
-        lines = lines + _doubled(lines, span, points)
+        lines = joined(lines + _doubled(lines, span, points))
     records = [record(line.points, micro_flight) for line in lines]
     if flights:
         tables = (_longest_first(line.points, micro_flight) for line in lines)

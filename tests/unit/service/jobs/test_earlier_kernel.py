@@ -1,7 +1,7 @@
 """A data folder with results of kernel version 1: they are read, none is continued.
 
-The folder holds two jobs that are done and one that was stopped after 3 of its 12 chunks. The last release
-itself wrote another.
+The folder holds two jobs that are done and one that was stopped after 3 of its 12 chunks. 0.2.0 itself
+wrote another.
 """
 
 import json
@@ -48,7 +48,7 @@ def change_ledger(folder: Path, statement: str, *values: Any) -> None:
 # At the start
 
 
-def test_the_folder_of_the_last_release_is_read_and_its_last_job_starts_anew(tmp_path: Path):
+def test_a_folder_of_0_2_0_is_read_and_its_last_job_starts_anew(tmp_path: Path):
     """Its service was killed during the last of its four jobs; answers.json has what it answered before."""
     with ZipFile(GOLDEN / "data-0.2.0.zip") as archive:
         archive.extractall(tmp_path)
