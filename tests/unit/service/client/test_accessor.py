@@ -67,7 +67,7 @@ def test_a_plane_of_a_sweep_is_a_map(sweep: xarray.Dataset):
     """By modes, also where cells have margins of stability."""
     certified = sweep.assign(multiplier=0.5 * sweep.outcome)
     ax = certified.bounce.plot(direction="up", ax=Figure().subplots())
-    assert "periods of the plate" in ax.get_title()
+    assert "(bounces, plate periods) of a cycle" in ax.get_title()
     (mesh,) = ax.collections
     assert mesh.get_array().shape == (2, 9)
 
