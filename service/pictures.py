@@ -389,7 +389,7 @@ def draw_measured(ax: Axes, points: Any, axis: NDArray[np.float64], computed: ND
 
 
 def _draw_points(ax: Axes, x: Any, y: Any, error: Any, label: str = "") -> None:
-    """Points and their error bars; matplotlib's own bars take a millisecond each."""
+    """Draw points with error bars, all in one collection: `errorbar` makes arrays for each point."""
     from matplotlib.collections import LineCollection
 
     bars = np.array([[x, x], [y - error, y + error]]).T

@@ -31,7 +31,7 @@ _VARIABLE: Final = "NUMBA_CACHE_DIR"
 _USED: Final = "used"
 _OLD_SECONDS: Final = 14 * 24 * 3600
 #: Least address space of a process with compiled kernels.
-LEAST_BYTES: Final = 1_000_000_000
+_LEAST_BYTES: Final = 1_000_000_000
 
 
 class CacheRefused(Exception):
@@ -44,8 +44,8 @@ def use_cache() -> Path:
 
     Raises CacheRefused, and MemoryError where LLVM would abort, or importing hang.
     """
-    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < LEAST_BYTES:
-        raise MemoryError(f"compiled kernels need {LEAST_BYTES:,} bytes of address space (ulimit -v)")
+    if 0 <= resource.getrlimit(resource.RLIMIT_AS)[0] < _LEAST_BYTES:
+        raise MemoryError(f"compiled kernels need {_LEAST_BYTES:,} bytes of address space (ulimit -v)")
     folder = _cache_folder(default_root())
     from kernel.numerics import cache, jit  # noqa: PLC0415 - imports numba
 

@@ -135,12 +135,12 @@ def _recorded(
     flights: whether their `flight_time` is that of `_longest_first`.
     """
     if twice:
-        lines = joined(lines + _doubled(lines, span, points))
+        lines = lines + _doubled(lines, span, points)
     records = [record(line.points, micro_flight) for line in lines]
     if flights:
         tables = (_longest_first(line.points, micro_flight) for line in lines)
         records = [branch._replace(flight_time=t) for branch, t in zip(records, tables, strict=True)]
-    events = tuple(event_record(line.events, micro_flight) for line in lines)
+    events = tuple(event_record(line.events, micro_flight) for line in joined(lines))
     return FollowedCycles(tuple(records), events, tuple(skipped))
 
 
@@ -171,7 +171,6 @@ def follow_cells(
             skipped.append(settled.skipped(f"{MAX_BRANCHES} branches were followed before it, the limit"))
         else:
             kept.append(both_ways(seed, span, POINTS, partial(joins, kept)))
-    kept = joined(kept)
     return _recorded(kept, span, POINTS, twice, flights=True, micro_flight=spec.micro_flight, skipped=skipped)
 
 

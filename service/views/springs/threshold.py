@@ -189,9 +189,8 @@ _PER_SPRING: Final = 1_000
 _ALONE: Final = {"lifetime", "delta", *(row.name for row in (*ENERGY, *proofs.OF_THRESHOLD))}
 _OF_GRID: Final = tuple(row for row in _OF_SPRING if row.name not in _ALONE)
 
-Values = Annotated[
-    str, Field(description="values, as 0.45,0.46, or start:stop:number"), Sequence[float]
-]  # which the client writes so
+#: Values in a query; from a sequence the client makes such a text.
+Values = Annotated[str, Field(description="values, as 0.45,0.46, or start:stop:number"), Sequence[float]]
 #: Limit on the characters of values.
 _MOST_TEXT: Final = 32_000
 
